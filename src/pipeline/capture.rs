@@ -33,7 +33,15 @@ impl<'a> Capture<'a> {
     /// The tracker's input under these cameras (`camera_from_world` per view).
     pub fn scene<'b>(&'b self, cameras: &'b [Option<Rigid>]) -> TrackerScene<'b> {
         let (fps, n_frames) = (self.session.fps, self.session.n_frames);
-        TrackerScene { views: &self.views, cameras, bones: &self.bones, mirror: &self.mirror, fps, n_frames }
+        TrackerScene {
+            views: &self.views,
+            cameras,
+            bones: &self.bones,
+            mirror: &self.mirror,
+            fps,
+            n_frames,
+            is_backwards: false,
+        }
     }
 
     /// People followed within each view.

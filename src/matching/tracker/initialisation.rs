@@ -38,7 +38,7 @@ fn from_single_view(
     free: &[usize],
     people: &[TrackedPerson],
 ) -> Option<TrackedPerson> {
-    let detection = |d: usize| &scene.views[0].frames[frame][d];
+    let detection = |d: usize| &scene.detections(0, frame)[d];
     let mut order: Vec<usize> = free.iter().copied().filter(|d| detection(*d).n_points() >= MIN_KEYPOINTS).collect();
     order.sort_by_key(|d| (std::cmp::Reverse(detection(*d).n_points()), *d));
     order.into_iter().find_map(|d| {
@@ -80,7 +80,7 @@ fn agreeing_pairs(
         for v in 0..w {
             let Some(essential) = scene.essential(v, w) else { continue };
             for (&a, &b) in free[v].iter().flat_map(|a| free[w].iter().map(move |b| (a, b))) {
-                let (s, t) = (&scene.views[v].frames[frame][a], &scene.views[w].frames[frame][b]);
+                let (s, t) = (&scene.detections(v, frame)[a], &scene.detections(w, frame)[b]);
                 if let Some(agreement) = agreement(config, &essential, s, t) {
                     let mut assignment = vec![None; scene.views.len()];
                     (assignment[v], assignment[w]) = (Some(Shown::as_detected(a)), Some(Shown::as_detected(b)));
@@ -116,7 +116,7 @@ fn extended(
     let skeleton = triangulated(scene, &scene.detections_of(frame, &assignment));
     for view in 0..scene.views.len() {
         let Some(camera) = scene.cameras[view].as_ref().filter(|_| assignment[view].is_none()) else { continue };
-        let seen = |d: &usize| Seen::as_detected(&scene.views[view].frames[frame][*d]);
+        let seen = |d: &usize| Seen::as_detected(&scene.detections(view, frame)[*d]);
         let distance = |d: &usize| distance_to_detection(&skeleton, camera, seen(d));
         let nearest = free[view].iter().filter_map(|d| Some((distance(d)?, *d))).min_by(|a, b| a.0.total_cmp(&b.0));
         assignment[view] = nearest.filter(|(m, _)| *m < config.max_residual).map(|(_, d)| Shown::as_detected(d));

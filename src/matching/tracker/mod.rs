@@ -8,6 +8,7 @@
 //! and fragments of one person are joined (`stitching`) by position, build and the detectors' track numbers
 //! (`reidentification`).
 
+mod beginnings;
 mod continuation;
 mod duplicate_merging;
 mod exchanged_sides;
@@ -55,6 +56,7 @@ pub fn track(
     let followed = windows.frames().par_iter().map(follow).collect::<Result<_, Canceled>>()?;
     let mut followed = windows.joined(scene, followed);
     followed.retain(|p| p.is_real(scene, config));
+    let followed = beginnings::follow_backwards(scene, config, followed, progress)?;
     let mut people = stitching::stitch(scene, followed);
     people.retain(|p| p.is_real(scene, config));
     people.sort_by_key(|p| (std::cmp::Reverse(p.support()), p.first()));
@@ -85,7 +87,8 @@ fn follow(
 
 /// One frame: assigns its detections, updates the persons, starts new ones.
 fn step(scene: &TrackerScene, config: &TrackerConfig, frame: usize, people: &mut Vec<TrackedPerson>) {
-    let mut assignments = nearest_detections(scene, config, frame, people);
+    let all = scene.unassigned(frame, &[]);
+    let mut assignments = nearest_detections(scene, config, frame, people, &all);
     reacquisition::reacquire(scene, config, frame, &mut assignments);
     for (person, assignment) in people.iter_mut().zip(&mut assignments) {
         person.update(scene, config, frame, assignment);
@@ -101,18 +104,19 @@ fn step(scene: &TrackerScene, config: &TrackerConfig, frame: usize, people: &mut
     continuation::continue_lost(scene, config, frame, people, n_known);
 }
 
-/// For each person the detection of every view that lies nearest to the prediction, one detection to one person.
+/// For each person the `free` detection of every view that lies nearest to the prediction, one detection to one person.
 fn nearest_detections(
     scene: &TrackerScene,
     config: &TrackerConfig,
     frame: usize,
     people: &[TrackedPerson],
+    free: &[Vec<usize>],
 ) -> Vec<Assignment> {
     let mut assignments = vec![vec![None; scene.views.len()]; people.len()];
     let predictions: Vec<_> = people.iter().map(|p| p.predict(frame, scene.fps)).collect();
     for (view, camera) in scene.cameras.iter().enumerate() {
         let Some(camera) = camera else { continue };
-        let detections = &scene.views[view].frames[frame];
+        let (detections, free) = (scene.detections(view, frame), &free[view]);
         let cost = |p: usize, d: usize| {
             let gate = config.gate + config.gate_growth * (frame - people[p].last_seen() - 1) as f64 / scene.fps;
             let factor = if people[p].is_real(scene, config) { 1.0 } else { UNCONFIRMED_FACTOR };
@@ -127,9 +131,9 @@ fn nearest_detections(
             (cost(detected), false)
         };
         let costs: Vec<Vec<(f64, bool)>> =
-            (0..people.len()).map(|p| (0..detections.len()).map(|d| cost(p, d)).collect()).collect();
-        for (p, d) in assign(people.len(), detections.len(), 1.0, |p, d| costs[p][d].0).into_iter().enumerate() {
-            assignments[p][view] = d.map(|d| Shown { detection: d, is_exchanged: costs[p][d].1 });
+            (0..people.len()).map(|p| free.iter().map(|&d| cost(p, d)).collect()).collect();
+        for (p, i) in assign(people.len(), free.len(), 1.0, |p, i| costs[p][i].0).into_iter().enumerate() {
+            assignments[p][view] = i.map(|i| Shown { detection: free[i], is_exchanged: costs[p][i].1 });
         }
     }
     exchanged_sides::withdraw_common(people, &mut assignments);

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 
 /// A person followed through the session.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct TrackedPerson {
     /// Frame and detections, in rising order of frames; only frames with at least one detection.
     pub assignments: Vec<(usize, Assignment)>,
@@ -117,6 +117,31 @@ impl TrackedPerson {
         let velocity = if range.end == self.assignments.len() { self.velocity } else { Vector3::zeros() };
         let n_confirmed = assignments.iter().filter(|(_, a)| scene.is_confirmed(a)).count();
         Self { assignments, skeletons, velocity, n_confirmed }
+    }
+
+    /// The person's first frame alone, as of one who is followed backwards.
+    pub(super) fn backwards_from_start(&self, backwards: &TrackerScene) -> Self {
+        let later =
+            self.assignments.partition_point(|(f, _)| (f - self.first()) as f64 <= VELOCITY_MEMORY * backwards.fps);
+        let seconds = (self.assignments[later - 1].0 - self.first()) as f64 / backwards.fps;
+        let velocity = match seconds > 0.0 {
+            true => shift(&self.skeletons[0], &self.skeletons[later - 1]) / seconds,
+            false => Vector3::zeros(),
+        };
+        let first = (backwards.n_frames - 1 - self.first(), self.assignments[0].1.clone());
+        let (assignments, skeletons) = (vec![first], vec![self.skeletons[0].clone()]);
+        Self { assignments, skeletons, velocity, n_confirmed: self.n_confirmed }
+    }
+
+    /// The person with what following it backwards has found after its first frame.
+    pub(super) fn with_beginning(self, scene: &TrackerScene, beginning: Self) -> Self {
+        let in_time = |(frame, assignment): (usize, Assignment)| (scene.n_frames - 1 - frame, assignment);
+        let mut whole = Self { velocity: Vector3::zeros(), n_confirmed: 0, ..beginning };
+        whole.assignments = whole.assignments.into_iter().skip(1).rev().map(in_time).collect();
+        whole.skeletons = whole.skeletons.into_iter().skip(1).rev().collect();
+        whole.n_confirmed = whole.assignments.iter().filter(|(_, a)| scene.is_confirmed(a)).count();
+        whole.append(self);
+        whole
     }
 
     /// The skeleton predicted for `frame`, at constant velocity.

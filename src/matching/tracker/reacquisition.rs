@@ -30,7 +30,7 @@ pub(super) fn reacquire(scene: &TrackerScene, config: &TrackerConfig, frame: usi
         for view in (0..scene.views.len()).filter(|view| *view != holder) {
             let Some(essential) = scene.essential(holder, view) else { continue };
             for &detection in &free[view] {
-                let seen = &scene.views[view].frames[frame][detection];
+                let seen = &scene.detections(view, frame)[detection];
                 let Some(agreement) = agreement(config, &essential, held.detection, seen) else { continue };
                 if is_human(scene, &triangulated(scene, &[(holder, held), (view, Seen::as_detected(seen))])) {
                     candidates.push(Candidate { agreement, person, view, detection });

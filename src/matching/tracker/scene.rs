@@ -111,9 +111,22 @@ pub struct TrackerScene<'a> {
     pub fps: f64,
     /// Number of frames.
     pub n_frames: usize,
+    /// Whether frames are counted from the end, so that the tracker follows people backwards in time.
+    pub is_backwards: bool,
 }
 
 impl<'a> TrackerScene<'a> {
+    /// The same scene with the frames in the other order.
+    pub(super) fn backwards(&self) -> Self {
+        Self { is_backwards: !self.is_backwards, ..*self }
+    }
+
+    /// The detections of a view in a frame.
+    pub(super) fn detections(&self, view: usize, frame: usize) -> &'a [NormalizedDetection] {
+        let frame = if self.is_backwards { self.n_frames - 1 - frame } else { frame };
+        &self.views[view].frames[frame]
+    }
+
     /// How many views must see a person at once to confirm it: two, or the only one.
     pub(super) fn n_confirming_views(&self) -> usize {
         self.views.len().min(2)
@@ -131,14 +144,14 @@ impl<'a> TrackerScene<'a> {
     }
 
     pub(super) fn seen(&self, view: usize, frame: usize, shown: Shown) -> Seen<'a> {
-        let detection = &self.views[view].frames[frame][shown.detection];
+        let detection = &self.detections(view, frame)[shown.detection];
         if shown.is_exchanged { Seen::exchanged(detection, self.mirror) } else { Seen::as_detected(detection) }
     }
 
     /// The detections of a frame that are assigned to no person, per view; none of views without a camera pose.
     pub(super) fn unassigned(&self, frame: usize, assignments: &[Assignment]) -> Vec<Vec<usize>> {
         let of_view = |view: usize| {
-            let n = if self.cameras[view].is_some() { self.views[view].frames[frame].len() } else { 0 };
+            let n = if self.cameras[view].is_some() { self.detections(view, frame).len() } else { 0 };
             (0..n).filter(|d| !assignments.iter().any(|a| a[view].is_some_and(|shown| shown.detection == *d))).collect()
         };
         (0..self.views.len()).map(of_view).collect()
@@ -154,4 +167,4 @@ impl<'a> TrackerScene<'a> {
 /// A scene without cameras, for tests of tracked persons alone.
 #[cfg(test)]
 pub(super) const EMPTY_SCENE: TrackerScene =
-    TrackerScene { views: &[], cameras: &[], bones: &[], mirror: &[], fps: 30.0, n_frames: 9 };
+    TrackerScene { views: &[], cameras: &[], bones: &[], mirror: &[], fps: 30.0, n_frames: 9, is_backwards: false };

@@ -9,7 +9,7 @@ use crate::matching::assignment::assign;
 use std::collections::BTreeMap;
 
 /// Out of sight for longer than this, s, a person is not followed: the next person nearby may be another one.
-const MAX_GAP_SECS: f64 = 0.2;
+pub(super) const MAX_GAP_SECS: f64 = 0.2;
 
 /// Joins fragments end to start: of all ways to do so, the one with the greatest evidence.
 ///

@@ -23,6 +23,7 @@ fn tracked(views: &[NormalizedView], cameras: &[Option<Rigid>]) -> Vec<TrackedPe
         mirror: &KeypointConvention::Coco17.mirror(),
         fps: 30.0,
         n_frames: 60,
+        is_backwards: false,
     };
     track(&scene, &TrackerConfig::default(), &Progress::silent()).unwrap()
 }
@@ -87,6 +88,7 @@ fn a_runner_was_a_new_person_in_every_frame() {
             mirror: &KeypointConvention::Coco17.mirror(),
             fps: 25.0,
             n_frames: 20,
+            is_backwards: false,
         };
         let people = track(&scene, &TrackerConfig::default(), &Progress::silent()).unwrap();
         assert_eq!(people.len(), n);
@@ -122,6 +124,7 @@ fn people_of_a_long_take_go_on_from_window_to_window() {
         mirror: &KeypointConvention::Coco17.mirror(),
         fps: 30.0,
         n_frames: 750,
+        is_backwards: false,
     };
     let config = TrackerConfig::default();
     assert_eq!(TrackingWindows::of(&scene, &config).frames(), [0..375, 345..750]);
@@ -196,4 +199,45 @@ fn sides_that_are_exchanged_at_first_are_not_kept() {
     };
     let left_shoulder = people[0].skeletons[30][5].unwrap();
     assert!(left_shoulder.x > 0.15 && n_exchanged(&people[0]) < 15, "{left_shoulder} {}", n_exchanged(&people[0]));
+}
+
+/// A person comes into sight of one camera a second before two others see it, and is lost by all for two seconds.
+#[test]
+fn a_person_was_followed_out_of_the_scene_and_not_into_it() {
+    let turned = |angle: f64| {
+        let rotation = nalgebra::Rotation3::from_axis_angle(&Vector3::y_axis(), angle).into_inner();
+        Some(Rigid { rotation, translation: Vector3::new(0.0, 0.8, 5.0) })
+    };
+    let cameras = [-0.7, 0.7, 0.0].map(turned);
+    let is_seen = |view: usize, frame: usize| match view {
+        2 => (10..60).contains(&frame) || frame >= 120,
+        _ => (40..60).contains(&frame) || frame >= 150,
+    };
+    let at = |view: usize, frame: usize| {
+        let seen = standing(cameras[view].as_ref().unwrap(), Vector3::new(0.01 * frame as f64 - 0.9, 0.0, 0.0));
+        if is_seen(view, frame) { vec![seen] } else { Vec::new() }
+    };
+    let views =
+        [0, 1, 2].map(|view| NormalizedView { focal: 1000.0, frames: (0..180).map(|frame| at(view, frame)).collect() });
+    let bones = limb_bones(KeypointConvention::Coco17);
+    let mirror = &KeypointConvention::Coco17.mirror();
+    let scene = TrackerScene {
+        views: &views,
+        cameras: &cameras,
+        bones: &bones,
+        mirror,
+        fps: 30.0,
+        n_frames: 180,
+        is_backwards: false,
+    };
+    let people = track(&scene, &TrackerConfig::default(), &Progress::silent()).unwrap();
+    assert_eq!(people.len(), 1);
+    let followed: Vec<usize> = people[0].assignments.iter().map(|(frame, _)| *frame).collect();
+    assert_eq!(followed, (10..60).chain(120..180).collect::<Vec<_>>());
+    for (frame, assignment) in &people[0].assignments {
+        let expected = [0, 1, 2].map(|view| is_seen(view, *frame).then(|| Shown::as_detected(0)));
+        assert_eq!(*assignment, expected, "{frame}");
+        let nose = people[0].skeletons[followed.iter().position(|f| f == frame).unwrap()][0].unwrap();
+        assert!((nose.x - (0.01 * *frame as f64 - 0.9)).abs() < 0.05 && nose.z.abs() < 0.3, "{frame}: {nose}");
+    }
 }
