@@ -150,7 +150,6 @@ pub fn solve(
     // The caller has already looked up `options.body`.
     options.check(&CameraFacts::of(session), std::slice::from_ref(&options.body))?;
     require_detections(session)?;
-    let session = &*without_border_keypoints(session);
     if let Some(continuation) = earlier.filter(|_| !options.corrections.is_empty()) {
         let (session, options) = continuation.repaired(session, options);
         let checkpoints = checkpoints.after_repairs(continuation.repairs().len());
@@ -199,9 +198,10 @@ pub fn solve(
 /// result have its names, its pixels are those that the result's cameras explain.
 pub fn as_solved<'s>(session: &'s Session, options: &Options, result: &Reconstruction) -> Cow<'s, Session> {
     let applied: Vec<Suspicion> = result.report.suspicions.iter().filter(|s| s.applied).cloned().collect();
-    match without_border_keypoints(session) {
-        Cow::Borrowed(session) => with_repairs(session, options, &applied).0,
-        Cow::Owned(session) => Cow::Owned(with_repairs(&session, options, &applied).0.into_owned()),
+    // Where the borders are is known once mistakes about the size of the images are repaired.
+    match with_repairs(session, options, &applied).0 {
+        Cow::Borrowed(session) => without_border_keypoints(session),
+        Cow::Owned(session) => Cow::Owned(without_border_keypoints(&session).into_owned()),
     }
 }
 
@@ -255,7 +255,8 @@ impl Attempt<'_> {
 
     fn outcome(&self, progress: &Progress) -> Result<Outcome, PipelineError> {
         let options = self.options;
-        let session = &*options.at_rate(self.session);
+        let session = without_border_keypoints(self.session);
+        let session = &*options.at_rate(&session);
         let mut stages = progress.stages(stage_weights(options, options.intrinsics_of(session)));
         let placed = match self.placed(session, &mut stages)? {
             ControlFlow::Break(repaired) => return Ok(repaired),
@@ -275,7 +276,8 @@ impl Attempt<'_> {
 
     /// The solution with corrections, from the cameras and people of the one without them.
     fn corrected(&self, continuation: &Continuation, progress: &Progress) -> Result<SolvedSession, PipelineError> {
-        let session = &*self.options.at_rate(self.session);
+        let session = without_border_keypoints(self.session);
+        let session = &*self.options.at_rate(&session);
         let mut stages = progress.stages(corrected_stage_weights(self.options));
         let reconstruction = self.corrected_result(session, continuation, &mut stages)?;
         Ok(SolvedSession { reconstruction, continuation: continuation.clone() })

@@ -34,19 +34,20 @@ pub fn without_border_keypoints(session: &Session) -> Cow<'_, Session> {
     cleaned
 }
 
-/// The borders at which the keypoints of a view pile up.
+/// The borders at which the keypoints of a view pile up. Where more lie beyond than beside one, the image does not end there.
 fn piled_borders(view: &View, n_keypoints: usize) -> ByBorder<bool> {
-    let mut counts: ByBorder<[usize; 2]> = [[0; 2]; 4];
+    let mut counts: ByBorder<[usize; 3]> = [[0; 3]; 4];
     for detection in view.frames.iter().flatten() {
         let strip = STRIP * detection.size_px(n_keypoints);
         for keypoint in detection.keypoints[..n_keypoints].iter().filter(|keypoint| keypoint.is_present()) {
             for (counts, distance) in counts.iter_mut().zip(distances(view, &keypoint.pixel)) {
                 counts[0] += usize::from(distance.abs() < strip);
                 counts[1] += usize::from((strip..2.0 * strip).contains(&distance));
+                counts[2] += usize::from(distance <= -strip);
             }
         }
     }
-    counts.map(|[at_border, next]| at_border > PILED * next + MIN_PILED)
+    counts.map(|[at_border, inside, beyond]| at_border > PILED * inside + MIN_PILED && at_border > beyond)
 }
 
 /// Takes out the keypoints in the strips of some borders; returns their number.
@@ -128,5 +129,12 @@ mod tests {
         assert_eq!(n_present(&without_border_keypoints(&cut_off)), 15 * N_FRAMES);
         let walking = session(|frame| 1.5 * frame as f64);
         assert!(matches!(without_border_keypoints(&walking), Cow::Borrowed(_)));
+    }
+
+    #[test]
+    fn heads_were_left_out_where_the_size_of_images_was_wrong() {
+        let mut of_smaller_images = session(|frame| 1.5 * frame as f64);
+        of_smaller_images.views[0].intrinsics.height = 301;
+        assert!(matches!(without_border_keypoints(&of_smaller_images), Cow::Borrowed(_)));
     }
 }
