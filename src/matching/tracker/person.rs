@@ -135,6 +135,9 @@ impl TrackedPerson {
 
     /// The person with what following it backwards has found after its first frame.
     pub(super) fn with_beginning(self, scene: &TrackerScene, beginning: Self) -> Self {
+        if beginning.assignments.len() < 2 {
+            return self;
+        }
         let in_time = |(frame, assignment): (usize, Assignment)| (scene.n_frames - 1 - frame, assignment);
         let mut whole = Self { velocity: Vector3::zeros(), n_confirmed: 0, ..beginning };
         whole.assignments = whole.assignments.into_iter().skip(1).rev().map(in_time).collect();

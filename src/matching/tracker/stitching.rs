@@ -16,7 +16,7 @@ pub(super) const MAX_GAP_SECS: f64 = 0.2;
 /// A path cover of least cost (Zhang, Li and Nevatia 2008) without further terms is an assignment of ends to starts.
 /// Without evidence a new person is as likely as a returning one.
 pub(super) fn stitch(scene: &TrackerScene, followed: Vec<TrackedPerson>) -> Vec<TrackedPerson> {
-    let mut people = duplicate_merging::merged(scene, followed.iter().flat_map(|p| split(scene, p)).collect());
+    let mut people = duplicate_merging::merged(scene, followed.into_iter().flat_map(|p| split(scene, p)).collect());
     people.sort_by_key(|p| (p.first(), p.last_seen()));
     let costs = costs(scene, &people);
     let next = assign(people.len(), people.len(), 0.0, |i, j| costs[i][j]);
@@ -35,12 +35,18 @@ pub(super) fn stitch(scene: &TrackerScene, followed: Vec<TrackedPerson>) -> Vec<
 }
 
 /// The pieces between gaps longer than [`MAX_GAP_SECS`].
-fn split(scene: &TrackerScene, followed: &TrackedPerson) -> Vec<TrackedPerson> {
+fn split(scene: &TrackerScene, followed: TrackedPerson) -> Vec<TrackedPerson> {
     let max_gap = (MAX_GAP_SECS * scene.fps).max(1.0) as usize;
     let frames: Vec<usize> = followed.assignments.iter().map(|(frame, _)| *frame).collect();
-    let ends = (1..frames.len()).filter(|&k| frames[k] - frames[k - 1] > max_gap).chain([frames.len()]);
+    let gaps: Vec<usize> = (1..frames.len()).filter(|&k| frames[k] - frames[k - 1] > max_gap).collect();
+    if gaps.is_empty() {
+        return vec![followed];
+    }
     let mut start = 0;
-    ends.map(|end| followed.piece(scene, std::mem::replace(&mut start, end)..end)).collect()
+    gaps.into_iter()
+        .chain([frames.len()])
+        .map(|end| followed.piece(scene, std::mem::replace(&mut start, end)..end))
+        .collect()
 }
 
 /// Negative log evidence of each pair of end and start, nats; `f64::MAX` where the order in time forbids the pair.
@@ -100,7 +106,7 @@ mod tests {
         followed.append(person(3, 0.1));
         followed.append(person(18, 0.2));
         let pieces: Vec<[usize; 2]> =
-            split(&EMPTY_SCENE, &followed).iter().map(|p| [p.first(), p.last_seen()]).collect();
+            split(&EMPTY_SCENE, followed).iter().map(|p| [p.first(), p.last_seen()]).collect();
         assert_eq!(pieces, [[0, 3], [18, 18]]);
     }
 

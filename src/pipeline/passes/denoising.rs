@@ -4,7 +4,7 @@ use crate::pipeline::calibration::{Association, Calibration, CameraFreedom};
 use crate::pipeline::capture::Capture;
 use crate::pipeline::passes::adjustment::{ALL_FRAMES, Effort, adjusted, adjusted_and_associated};
 use crate::pipeline::stages::association::{associate, from_tracks, identities};
-use crate::pipeline::stages::denoising::{Denoised, denoise};
+use crate::pipeline::stages::denoising::{Denoised, denoise, without_rejected};
 use crate::pipeline::stages::detector_noise::measured_noise;
 use crate::pipeline::stages::joint_trajectories::joint_trajectories;
 use crate::progress::{Canceled, Progress};
@@ -70,8 +70,9 @@ pub fn denoised_capture(
     let mut steps = progress.steps([0.3, 0.4, 0.3]);
     let first = repaired(capture, capture.session, &calibration, &steps.begin("repairing detections"))?;
     calibration.association.tracks = first.tracks;
-    measure_noise(&mut calibration, &first.session);
-    let repaired_capture = Capture::new(&first.session, capture.options);
+    let session = without_rejected(first.unflipped.clone(), &first.rejected);
+    measure_noise(&mut calibration, &session);
+    let repaired_capture = Capture::new(&session, capture.options);
     match freedom {
         CameraFreedom::Adjusted => {
             let step = steps.begin("adjusting cameras to the repaired detections");
@@ -101,8 +102,9 @@ pub fn corrected_capture(
     if freedom == CameraFreedom::Adjusted {
         let first = repaired(capture, capture.session, &calibration, &steps.begin("repairing detections"))?;
         calibration.association.tracks = first.tracks;
-        measure_noise(&mut calibration, &first.session);
-        let repaired_capture = Capture::new(&first.session, capture.options);
+        let session = without_rejected(first.unflipped.clone(), &first.rejected);
+        measure_noise(&mut calibration, &session);
+        let repaired_capture = Capture::new(&session, capture.options);
         let step = steps.begin("adjusting cameras to the repaired detections");
         calibration = adjusted(&repaired_capture, &calibration, Effort::FINAL, ALL_FRAMES, &step)?;
         let scene = repaired_capture.scene(&calibration.cameras);
@@ -121,11 +123,13 @@ fn finally_repaired(
     mut calibration: Calibration,
     progress: &Progress,
 ) -> Result<DenoisedCapture, Canceled> {
-    let second = repaired(capture, known, &calibration, progress)?;
-    let before = std::mem::replace(&mut calibration.association.tracks, second.tracks.clone());
-    calibration.stages.push(second.stage_report.clone());
-    measure_noise(&mut calibration, &second.session);
-    Ok(DenoisedCapture::new(capture.session, calibration, &before, second))
+    let Denoised { unflipped, rejected, tracks, report, stage_report } =
+        repaired(capture, known, &calibration, progress)?;
+    let session = without_rejected(unflipped, &rejected);
+    let before = std::mem::replace(&mut calibration.association.tracks, tracks);
+    calibration.stages.push(stage_report);
+    measure_noise(&mut calibration, &session);
+    Ok(DenoisedCapture::new(capture.session, calibration, &before, &session, report))
 }
 
 /// Repairs the original detections by trajectories through those of `known`, the session as far as it is repaired: where most views
@@ -149,11 +153,17 @@ fn measure_noise(calibration: &mut Calibration, session: &Session) {
 }
 
 impl DenoisedCapture {
-    fn new(original: &Session, calibration: Calibration, before: &[PersonTrack], denoised: Denoised) -> Self {
-        let identities_before = identities_without_repair(original, before, &denoised.tracks);
+    fn new(
+        original: &Session,
+        calibration: Calibration,
+        before: &[PersonTrack],
+        repaired: &Session,
+        report: ConsistencyReport,
+    ) -> Self {
+        let identities_before = identities_without_repair(original, before, &calibration.association.tracks);
         let numbers = |point: &Keypoint| [point.pixel.x, point.pixel.y, point.confidence];
         let mut changes = Vec::new();
-        for (view, (before, after)) in original.views.iter().zip(&denoised.session.views).enumerate() {
+        for (view, (before, after)) in original.views.iter().zip(&repaired.views).enumerate() {
             for (frame, (before, after)) in before.frames.iter().zip(&after.frames).enumerate() {
                 for (detection, (_, after)) in before.iter().zip(after).enumerate().filter(|(_, (a, b))| a != b) {
                     let keypoints = after.keypoints.iter().map(numbers).collect();
@@ -163,7 +173,7 @@ impl DenoisedCapture {
         }
         let level = |(confidence, sigma_m)| NoiseAtConfidence { confidence, sigma_mm: 1e3 * sigma_m };
         let detector_noise = calibration.noise.levels().map(level).collect();
-        let report = ConsistencyReport { detector_noise, ..denoised.report };
+        let report = ConsistencyReport { detector_noise, ..report };
         Self { calibration, report, identities_before, changes }
     }
 

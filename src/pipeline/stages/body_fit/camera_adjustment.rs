@@ -19,6 +19,7 @@ use crate::geometry::free_network::CameraCovariance;
 use crate::pipeline::focal_spread::{FocalSpread, FoundFactors};
 use crate::progress::Canceled;
 use crate::session::reconstruction::FocalFactor;
+use rayon::prelude::*;
 
 /// The detector's errors, and the cameras after the adjustment.
 #[derive(Debug, Clone)]
@@ -167,8 +168,12 @@ pub(super) fn settle(context: &FitContext, members: &mut [Member]) -> Result<(),
     let table = OffsetTable::empty(context.model);
     let noise = measured_noise(context, members);
     let once = Stopping { max_iterations: 1, ..STOPPING };
-    problem(context, &table, &noise, None).minimised(members, Vec::new(), &once)?;
-    Ok(())
+    let problem = problem(context, &table, &noise, None);
+    // With the cameras held they have nothing in common, and need not be in memory at once.
+    members.par_iter_mut().try_for_each(|member| {
+        problem.minimised(std::slice::from_mut(member), Vec::new(), &once)?;
+        Ok(())
+    })
 }
 
 /// The joint problem without offsets of the detector: they are in the model; released again, they cost half of the time and

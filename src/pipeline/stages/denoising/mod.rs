@@ -27,17 +27,31 @@ use rayon::prelude::*;
 
 /// Result of the stage.
 pub struct Denoised {
-    /// The repaired detections: same frames and order. Only keypoints of flipped parts move, and only rejected keypoints
-    /// lose their confidence.
-    pub session: Session,
-    /// The detections with flipped parts turned back alone.
+    /// The detections with flipped parts turned back: same frames and order, and only keypoints of these parts move.
     pub unflipped: Session,
+    /// Keypoints that are wrong.
+    pub rejected: Vec<Rejected>,
     /// The association after the repair.
     pub tracks: Vec<PersonTrack>,
     /// Repairs per camera and person.
     pub report: ConsistencyReport,
     /// Statistics of the stage.
     pub stage_report: StageReport,
+}
+
+/// Rejected keypoints of one detection, after the flip.
+pub struct Rejected {
+    at: DetectionIndex,
+    keypoints: Vec<usize>,
+}
+
+/// The repaired detections: `unflipped` where rejected keypoints lose their confidence.
+pub fn without_rejected(mut unflipped: Session, rejected: &[Rejected]) -> Session {
+    for Rejected { at, keypoints } in rejected {
+        let detection = &mut unflipped.views[at.view].frames[at.frame][at.detection];
+        keypoints.iter().for_each(|&k| detection.keypoints[k].confidence = 0.0);
+    }
+    unflipped
 }
 
 /// Repairs the detections and the association; `input` holds the smooth trajectories, `views` the detections in normalised
@@ -53,27 +67,24 @@ pub fn denoise(input: TrackedPeople, views: &[NormalizedView], progress: &Progre
             Ok(repaired_frame(&context, &FrameView::new(&context, frame)))
         })
         .collect::<Result<_, Canceled>>()?;
-    let mut session = input.session.clone();
+    let mut unflipped = input.session.clone();
     let mut tracks: Vec<PersonTrack> = input.tracks.iter().map(without_detections).collect();
     let repairs = || solved.iter().flat_map(|frame| &frame.repairs);
     for Repair { track, at: DetectionIndex { view, frame, detection }, flip, .. } in repairs() {
         let track = &mut tracks[*track];
         track.detections[frame - track.first.0][*view] = Some(*detection);
-        let keypoints = &mut session.views[*view].frames[*frame][*detection].keypoints;
+        let keypoints = &mut unflipped.views[*view].frames[*frame][*detection].keypoints;
         context.flips[*flip].apply(keypoints);
         if *flip != UNCHANGED && input.session.dense.is_some() {
             // Which of the dense landmarks were exchanged is unknown.
             keypoints[input.session.convention.n_keypoints()..].fill(Keypoint::MISSING);
         }
     }
-    let unflipped = session.clone();
-    for Repair { at: DetectionIndex { view, frame, detection }, rejected, .. } in repairs() {
-        let keypoints = &mut session.views[*view].frames[*frame][*detection].keypoints;
-        rejected.iter().for_each(|&k| keypoints[k].confidence = 0.0);
-    }
     let report = report::consistency_report(&input, &tracks, &solved);
     let stage_report = report::stage_report(&report, &solved);
-    Ok(Denoised { session, unflipped, tracks, report, stage_report })
+    let rejected = solved.into_iter().flat_map(|frame| frame.repairs).filter(|repair| !repair.rejected.is_empty());
+    let rejected = rejected.map(|Repair { at, rejected, .. }| Rejected { at, keypoints: rejected }).collect();
+    Ok(Denoised { unflipped, rejected, tracks, report, stage_report })
 }
 
 /// The same person and frames without detections.
