@@ -199,10 +199,7 @@ pub fn solve(
 pub fn as_solved<'s>(session: &'s Session, options: &Options, result: &Reconstruction) -> Cow<'s, Session> {
     let applied: Vec<Suspicion> = result.report.suspicions.iter().filter(|s| s.applied).cloned().collect();
     // Where the borders are is known once mistakes about the size of the images are repaired.
-    match with_repairs(session, options, &applied).0 {
-        Cow::Borrowed(session) => without_border_keypoints(session),
-        Cow::Owned(session) => Cow::Owned(without_border_keypoints(&session).into_owned()),
-    }
+    without_border_keypoints(with_repairs(session, options, &applied).0)
 }
 
 /// One way through all passes.
@@ -255,7 +252,7 @@ impl Attempt<'_> {
 
     fn outcome(&self, progress: &Progress) -> Result<Outcome, PipelineError> {
         let options = self.options;
-        let session = without_border_keypoints(self.session);
+        let session = without_border_keypoints(Cow::Borrowed(self.session));
         let session = &*options.at_rate(&session);
         let mut stages = progress.stages(stage_weights(options, options.intrinsics_of(session)));
         let placed = match self.placed(session, &mut stages)? {
@@ -276,7 +273,7 @@ impl Attempt<'_> {
 
     /// The solution with corrections, from the cameras and people of the one without them.
     fn corrected(&self, continuation: &Continuation, progress: &Progress) -> Result<SolvedSession, PipelineError> {
-        let session = without_border_keypoints(self.session);
+        let session = without_border_keypoints(Cow::Borrowed(self.session));
         let session = &*self.options.at_rate(&session);
         let mut stages = progress.stages(corrected_stage_weights(self.options));
         let reconstruction = self.corrected_result(session, continuation, &mut stages)?;

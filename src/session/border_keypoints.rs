@@ -20,18 +20,17 @@ type ByBorder<T> = [T; 4];
 ///
 /// Where a person is cut off by the border, a detector that answers for every joint sets those outside beside it. They agree with
 /// each other from frame to frame, so that no robust cost leaves them out.
-pub fn without_border_keypoints(session: &Session) -> Cow<'_, Session> {
+pub fn without_border_keypoints(mut session: Cow<'_, Session>) -> Cow<'_, Session> {
     let n_keypoints = session.convention.names().len();
-    let mut cleaned = Cow::Borrowed(session);
-    for (v, view) in session.views.iter().enumerate() {
-        let piled = piled_borders(view, n_keypoints);
+    for v in 0..session.views.len() {
+        let piled = piled_borders(&session.views[v], n_keypoints);
         if piled.contains(&true) {
-            let cleaned = &mut cleaned.to_mut().views[v];
-            let n_left_out = leave_out(cleaned, piled, n_keypoints);
+            let view = &mut session.to_mut().views[v];
+            let n_left_out = leave_out(view, piled, n_keypoints);
             tracing::info!(camera = view.id, n_left_out, "keypoints that pile up at the image's borders are left out");
         }
     }
-    cleaned
+    session
 }
 
 /// The borders at which the keypoints of a view pile up. Where more lie beyond than beside one, the image does not end there.
@@ -126,15 +125,15 @@ mod tests {
     #[test]
     fn feet_below_the_image_were_taken_for_feet_at_its_border() {
         let cut_off = session(|frame| [2.0, 8.0, 5.0][frame % 3]);
-        assert_eq!(n_present(&without_border_keypoints(&cut_off)), 15 * N_FRAMES);
+        assert_eq!(n_present(&without_border_keypoints(Cow::Owned(cut_off))), 15 * N_FRAMES);
         let walking = session(|frame| 1.5 * frame as f64);
-        assert!(matches!(without_border_keypoints(&walking), Cow::Borrowed(_)));
+        assert!(matches!(without_border_keypoints(Cow::Borrowed(&walking)), Cow::Borrowed(_)));
     }
 
     #[test]
     fn heads_were_left_out_where_the_size_of_images_was_wrong() {
         let mut of_smaller_images = session(|frame| 1.5 * frame as f64);
         of_smaller_images.views[0].intrinsics.height = 301;
-        assert!(matches!(without_border_keypoints(&of_smaller_images), Cow::Borrowed(_)));
+        assert!(matches!(without_border_keypoints(Cow::Borrowed(&of_smaller_images)), Cow::Borrowed(_)));
     }
 }

@@ -1,9 +1,9 @@
 //! Beginnings: persons followed backwards in time from where they were found, through detections that no other person has.
 //!
-//! A new person needs two views that agree, and goes on where one alone sees it: a person who leaves is followed for as long as any view
-//! sees it. One who comes is so, too, if time runs backwards.
+//! A new person needs two views that agree, and goes on where one alone sees it. So persons who leave are followed for as long as any view
+//! sees them; with time running backwards, persons who come are, too.
 
-use super::nearest_detections;
+use super::nearest_detections::nearest_detections;
 use super::person::TrackedPerson;
 use super::scene::{Assignment, TrackerConfig, TrackerScene};
 use super::stitching::MAX_GAP_SECS;

@@ -1,9 +1,10 @@
 //! The 3D tracker: assigns every detection to a person, frame by frame, under known cameras.
 //!
 //! A person is a predicted skeleton (`person`). In each frame every view assigns its detections to the nearest
-//! predictions; persons held by a single view are re-acquired by the others (`reacquisition`); unassigned detections start
+//! predictions (`nearest_detections`); persons held by a single view are re-acquired by the others (`reacquisition`); unassigned detections start
 //! new persons (`initialisation`), or continue a person that is lost where no other person can be meant (`continuation`).
-//! A detector may have exchanged a person's left and right (`exchanged_sides`).
+//! A detector may have exchanged a person's left and right (`exchanged_sides`). At last persons are followed backwards from where
+//! they were found (`beginnings`).
 //! Long takes are followed in windows side by side (`tracking_windows`). At the end duplicates are merged (`duplicate_merging`),
 //! and fragments of one person are joined (`stitching`) by position, build and the detectors' track numbers
 //! (`reidentification`).
@@ -14,6 +15,7 @@ mod duplicate_merging;
 mod exchanged_sides;
 mod initialisation;
 mod monocular;
+mod nearest_detections;
 mod person;
 mod reacquisition;
 mod reidentification;
@@ -22,25 +24,15 @@ mod skeleton;
 mod stitching;
 mod tracking_windows;
 
-use super::assignment::assign;
 use crate::progress::{Canceled, Progress};
-use exchanged_sides::{EXCHANGED_NATS, is_exchanged, with_usual_sides};
+use exchanged_sides::with_usual_sides;
+use nearest_detections::nearest_detections;
 pub use person::TrackedPerson;
 use rayon::prelude::*;
-use scene::Seen;
 pub use scene::{Assignment, Shown, TrackerConfig, TrackerScene};
 pub use skeleton::Skeleton;
 use std::ops::Range;
 use tracking_windows::TrackingWindows;
-
-/// A person that is not confirmed yet must be this many times as near.
-const UNCONFIRMED_FACTOR: f64 = 1.3;
-
-/// Negative log likelihood, nats, of a detection at the edge of a new gate, which lies at three standard deviations.
-const NATS_AT_GATE: f64 = 4.5;
-
-/// Cost of an impossible assignment; the limit is 1.
-const IMPOSSIBLE: f64 = 2.0;
 
 /// Follows all persons through the session; the result is in order of support, best first.
 ///
@@ -102,50 +94,6 @@ fn step(scene: &TrackerScene, config: &TrackerConfig, frame: usize, people: &mut
         people.push(new);
     }
     continuation::continue_lost(scene, config, frame, people, n_known);
-}
-
-/// For each person the `free` detection of every view that lies nearest to the prediction, one detection to one person.
-fn nearest_detections(
-    scene: &TrackerScene,
-    config: &TrackerConfig,
-    frame: usize,
-    people: &[TrackedPerson],
-    free: &[Vec<usize>],
-) -> Vec<Assignment> {
-    let mut assignments = vec![vec![None; scene.views.len()]; people.len()];
-    let predictions: Vec<_> = people.iter().map(|p| p.predict(frame, scene.fps)).collect();
-    for (view, camera) in scene.cameras.iter().enumerate() {
-        let Some(camera) = camera else { continue };
-        let (detections, free) = (scene.detections(view, frame), &free[view]);
-        let cost = |p: usize, d: usize| {
-            let gate = config.gate + config.gate_growth * (frame - people[p].last_seen() - 1) as f64 / scene.fps;
-            let factor = if people[p].is_real(scene, config) { 1.0 } else { UNCONFIRMED_FACTOR };
-            let distance = |seen: Seen| skeleton::distance_to_detection(&predictions[p], camera, seen);
-            let cost = |m: f64| assignment_cost(m * factor, gate, config.gate);
-            let Some(detected) = distance(Seen::as_detected(&detections[d])) else { return (IMPOSSIBLE, false) };
-            let before = people[p].last_assignment()[view].map(|shown| shown.is_exchanged);
-            if is_exchanged(scene, &predictions[p], camera, &detections[d], detected, before) {
-                let exchanged = distance(Seen::exchanged(&detections[d], scene.mirror));
-                return (exchanged.map_or(IMPOSSIBLE, |m| EXCHANGED_NATS / NATS_AT_GATE + cost(m)), true);
-            }
-            (cost(detected), false)
-        };
-        let costs: Vec<Vec<(f64, bool)>> =
-            (0..people.len()).map(|p| free.iter().map(|&d| cost(p, d)).collect()).collect();
-        for (p, i) in assign(people.len(), free.len(), 1.0, |p, i| costs[p][i].0).into_iter().enumerate() {
-            assignments[p][view] = i.map(|i| Shown { detection: free[i], is_exchanged: costs[p][i].1 });
-        }
-    }
-    exchanged_sides::withdraw_common(people, &mut assignments);
-    assignments
-}
-
-/// Cost of a detection `distance` m from a prediction with a gate of `gate` m; 1 is the cost of no assignment.
-///
-/// The negative log likelihood over [`NATS_AT_GATE`]: a lost person's wide gate contains many detections, each of which is
-/// the less likely this person's.
-fn assignment_cost(distance: f64, gate: f64, new_gate: f64) -> f64 {
-    if distance < gate { (distance / gate).powi(2) + 2.0 / NATS_AT_GATE * (gate / new_gate).ln() } else { IMPOSSIBLE }
 }
 
 /// The skeleton that the assigned detections of a frame agree on; `None` for keypoints that fewer than two views see.

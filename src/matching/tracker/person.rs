@@ -119,7 +119,7 @@ impl TrackedPerson {
         Self { assignments, skeletons, velocity, n_confirmed }
     }
 
-    /// The person's first frame alone, as of one who is followed backwards.
+    /// The person's first frame alone, from which it is followed backwards.
     pub(super) fn backwards_from_start(&self, backwards: &TrackerScene) -> Self {
         let later =
             self.assignments.partition_point(|(f, _)| (f - self.first()) as f64 <= VELOCITY_MEMORY * backwards.fps);
