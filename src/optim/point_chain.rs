@@ -10,74 +10,82 @@ pub struct PointChain {
     pub diagonal: Vec<Matrix3<f64>>,
     /// Factors of the blocks `(t, t - 1)` and `(t, t - 2)`; 0 for blocks outside the matrix.
     pub couplings: Vec<[f64; 2]>,
+    /// Blocks `(t, t - 1)` of the factor, where [`solve`](Self::solve) has made it.
+    near: Vec<Matrix3<f64>>,
 }
 
 impl PointChain {
-    /// The quadratic form `sum weight(t) |x_(t+1) - 2 x_t + x_(t-1)|^2` over `n` points.
-    pub fn of_second_differences(n: usize, weight: impl Fn(usize) -> f64) -> Self {
-        let mut chain = Self { diagonal: vec![Matrix3::zeros(); n], couplings: vec![[0.0; 2]; n] };
-        for last in 2..n {
-            let weight = weight(last - 1);
-            for (t, w) in [(last - 2, 1.0), (last - 1, 4.0), (last, 1.0)] {
-                chain.diagonal[t] += Matrix3::from_diagonal_element(weight * w);
-            }
-            chain.couplings[last - 1][0] -= 2.0 * weight;
-            chain.couplings[last][0] -= 2.0 * weight;
-            chain.couplings[last][1] += weight;
-        }
-        chain
+    /// The zero matrix over `n` points.
+    pub fn zeros(n: usize) -> Self {
+        let zeros = || vec![Matrix3::zeros(); n];
+        Self { diagonal: zeros(), couplings: vec![[0.0; 2]; n], near: zeros() }
     }
 
-    /// `A x`.
-    pub fn times(&self, x: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
-        let mut product: Vec<Vector3<f64>> = self.diagonal.iter().zip(x).map(|(block, x)| block * x).collect();
+    /// Makes it the quadratic form `sum weight(t) |x_(t+1) - 2 x_t + x_(t-1)|^2`.
+    pub fn set_second_differences(&mut self, weight: impl Fn(usize) -> f64) {
+        self.diagonal.fill(Matrix3::zeros());
+        self.couplings.fill([0.0; 2]);
+        for last in 2..self.diagonal.len() {
+            let weight = weight(last - 1);
+            for (t, w) in [(last - 2, 1.0), (last - 1, 4.0), (last, 1.0)] {
+                self.diagonal[t] += Matrix3::from_diagonal_element(weight * w);
+            }
+            self.couplings[last - 1][0] -= 2.0 * weight;
+            self.couplings[last][0] -= 2.0 * weight;
+            self.couplings[last][1] += weight;
+        }
+    }
+
+    /// Makes `product` `A x`.
+    pub fn times(&self, x: &[Vector3<f64>], product: &mut Vec<Vector3<f64>>) {
+        product.clear();
+        product.extend(self.diagonal.iter().zip(x).map(|(block, x)| block * x));
         for (t, couplings) in self.couplings.iter().enumerate() {
             for (back, coupling) in (1..).zip(couplings).filter(|(back, _)| *back <= t) {
                 product[t] += x[t - back] * *coupling;
                 product[t - back] += x[t] * *coupling;
             }
         }
-        product
     }
 
-    /// Solves `A x = b`; `None` where `A` is not positive definite.
+    /// Makes `b` the solution of `A x = b`; `None` where `A` is not positive definite. The matrix is used up.
     ///
     /// $A = L D L^T$ block by block: with couplings $a_t$ and $b_t$,
     /// $L_{t,t-2} = b_t D_{t-2}^{-1}$, $L_{t,t-1} = (a_t I - b_t L_{t-1,t-2}^T) D_{t-1}^{-1}$.
-    pub fn solve(&self, mut b: Vec<Vector3<f64>>) -> Option<Vec<Vector3<f64>>> {
-        let n = self.diagonal.len();
-        let mut factors = vec![[Matrix3::zeros(); 2]; n];
-        let (mut inverse_before, mut inverse_two_before) = (Matrix3::zeros(), Matrix3::zeros());
-        let mut scaled = vec![Vector3::zeros(); n];
-        for t in 0..n {
-            let [one, two] = self.couplings[t];
-            let before = t.checked_sub(1).map_or_else(Matrix3::zeros, |s| factors[s][0]);
-            let reduced = Matrix3::from_diagonal_element(one) - before.transpose() * two;
-            let far = inverse_two_before * two;
-            let near = reduced * inverse_before;
-            let pivot = self.diagonal[t] - near * reduced.transpose() - far * two;
-            factors[t] = [near, far];
+    pub fn solve(&mut self, b: &mut [Vector3<f64>]) -> Option<()> {
+        // The diagonal becomes its inverse, block by block.
+        let Self { diagonal, couplings, near } = self;
+        for t in 0..b.len() {
+            let [one, two] = couplings[t];
+            let mut reduced = Matrix3::from_diagonal_element(one);
             if t >= 1 {
-                b[t] = b[t] - near * b[t - 1];
+                reduced -= near[t - 1].transpose() * two;
+                near[t] = reduced * diagonal[t - 1];
+                diagonal[t] -= near[t] * reduced.transpose();
+                b[t] = b[t] - near[t] * b[t - 1];
+            } else {
+                near[t] = Matrix3::zeros();
             }
             if t >= 2 {
+                let far = diagonal[t - 2] * two;
+                diagonal[t] -= far * two;
                 b[t] = b[t] - far * b[t - 2];
             }
-            inverse_two_before = inverse_before;
-            inverse_before = inverse_of_positive(&pivot)?;
-            scaled[t] = inverse_before * b[t];
+            diagonal[t] = inverse_of_positive(&diagonal[t])?;
         }
-        for t in (0..n).rev() {
-            let [near, far] = factors[t];
-            let x = scaled[t];
+        for t in 0..b.len() {
+            b[t] = diagonal[t] * b[t];
+        }
+        for t in (0..b.len()).rev() {
+            let x = b[t];
             if t >= 1 {
-                scaled[t - 1] -= near.tr_mul(&x);
+                b[t - 1] -= near[t].tr_mul(&x);
             }
             if t >= 2 {
-                scaled[t - 2] -= far.tr_mul(&x);
+                b[t - 2] -= (diagonal[t - 2] * couplings[t][1]).tr_mul(&x);
             }
         }
-        Some(scaled)
+        Some(())
     }
 }
 
@@ -127,7 +135,8 @@ mod tests {
     }
 
     fn chain(n: usize) -> PointChain {
-        let mut chain = PointChain::of_second_differences(n, |t| 0.7 + 0.1 * t as f64);
+        let mut chain = PointChain::zeros(n);
+        chain.set_second_differences(|t| 0.7 + 0.1 * t as f64);
         for (t, block) in chain.diagonal.iter_mut().enumerate() {
             let direction = Vector3::new((t as f64).sin(), 0.5, (2.0 * t as f64).cos());
             *block += direction * direction.transpose() + Matrix3::identity() * 0.01;
@@ -142,10 +151,12 @@ mod tests {
             let b: Vec<Vector3<f64>> = (0..n).map(|t| Vector3::new(t as f64, (t as f64).sin(), 1.0)).collect();
             let flat = DVector::from_iterator(3 * n, b.iter().flat_map(|v| v.iter().copied()));
             let expected = dense(&chain).cholesky().unwrap().solve(&flat);
-            let found = chain.solve(b.clone()).unwrap();
+            let mut found = b.clone();
+            chain.clone().solve(&mut found).unwrap();
             let difference = found.iter().flat_map(|v| v.iter()).zip(expected.iter()).map(|(a, b)| (a - b).abs());
             assert!(difference.fold(0.0, f64::max) < 1e-10);
-            let back = chain.times(&found);
+            let mut back = Vec::new();
+            chain.times(&found, &mut back);
             assert!(back.iter().zip(&b).all(|(a, b)| (a - b).norm() < 1e-10));
         }
     }
@@ -162,8 +173,13 @@ mod tests {
 
     #[test]
     fn second_differences_cost_nothing_on_a_straight_line() {
-        let chain = PointChain::of_second_differences(6, |_| 2.0);
-        let cost = |x: &[Vector3<f64>]| -> f64 { chain.times(x).iter().zip(x).map(|(a, b)| a.dot(b)).sum() };
+        let mut chain = PointChain::zeros(6);
+        chain.set_second_differences(|_| 2.0);
+        let cost = |x: &[Vector3<f64>]| -> f64 {
+            let mut product = Vec::new();
+            chain.times(x, &mut product);
+            product.iter().zip(x).map(|(a, b)| a.dot(b)).sum()
+        };
         let line: Vec<Vector3<f64>> = (0..6).map(|t| Vector3::new(1.0, 2.0, 3.0) * t as f64).collect();
         assert!(cost(&line).abs() < 1e-10);
         let bend: Vec<Vector3<f64>> = (0..6).map(|t| Vector3::x() * (t * t) as f64).collect();
@@ -172,8 +188,9 @@ mod tests {
 
     #[test]
     fn rejects_indefinite_matrices() {
-        let chain = PointChain { diagonal: vec![Matrix3::identity(); 2], couplings: vec![[0.0; 2], [2.0, 0.0]] };
-        assert!(chain.solve(vec![Vector3::x(); 2]).is_none());
+        let (diagonal, couplings) = (vec![Matrix3::identity(); 2], vec![[0.0; 2], [2.0, 0.0]]);
+        let mut chain = PointChain { diagonal, couplings, ..PointChain::zeros(2) };
+        assert!(chain.solve(&mut [Vector3::x(); 2]).is_none());
     }
 
     /// The diagonal of the inverse in the middle of a long path.
@@ -181,11 +198,13 @@ mod tests {
     fn smoothing_gain_is_that_of_a_long_path() {
         const N: usize = 401;
         for c in [1e-4, 0.3, 3.0, 300.0] {
-            let mut system = PointChain::of_second_differences(N, |_| c);
+            let mut system = PointChain::zeros(N);
+            system.set_second_differences(|_| c);
             system.diagonal.iter_mut().for_each(|block| *block += Matrix3::identity());
             let mut unit = vec![Vector3::zeros(); N];
             unit[N / 2] = Vector3::x();
-            let left = system.solve(unit).unwrap()[N / 2].x;
+            system.solve(&mut unit).unwrap();
+            let left = unit[N / 2].x;
             assert!((smoothing_gain(c) / left - 1.0).abs() < 1e-3, "{c}: {} and {left}", smoothing_gain(c));
         }
         assert!(smoothing_gain(1e-4) > 0.99, "motion, not noise");

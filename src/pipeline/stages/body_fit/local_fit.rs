@@ -53,7 +53,7 @@ pub(super) fn refitted(
         let mut refitted = Refitted { state: state.of(&whole), rejected: Vec::new() };
         for run in chain.iter() {
             let own = run.start - first..run.end - first;
-            let data = (&observations.slice(run.clone()), collisions.slice(run.clone()));
+            let data = (&*observations.slice(run.clone()), collisions.slice(run.clone()));
             let states = [before.of(run), refitted.state.of(&own)];
             let held = held_frames(run, state.poses.len());
             match fitted_run(context, data, &states, &held, steps, &mut system)? {

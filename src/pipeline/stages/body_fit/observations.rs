@@ -11,6 +11,7 @@ use crate::geometry::{Intrinsics, PixelCovariance, Rigid};
 use crate::pipeline::calibration::TrackedPeople;
 use crate::session::{Detection, JointTrajectory, PersonTrack, Session};
 use nalgebra::{Matrix2, Vector2, Vector3};
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::ops::Range;
 
@@ -131,12 +132,15 @@ impl Observations {
     }
 
     /// The observations of a run of frames.
-    pub(super) fn slice(&self, frames: Range<usize>) -> Self {
-        Self {
+    pub(super) fn slice(&self, frames: Range<usize>) -> Cow<'_, Self> {
+        if frames == (0..self.pixels.len()) {
+            return Cow::Borrowed(self);
+        }
+        Cow::Owned(Self {
             cameras: self.cameras.clone(),
             points: self.points[frames.clone()].to_vec(),
             pixels: self.pixels[frames].to_vec(),
-        }
+        })
     }
 }
 

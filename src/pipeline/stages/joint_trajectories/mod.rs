@@ -41,7 +41,7 @@ pub fn joint_trajectories(input: &TrackedPeople, progress: &Progress) -> Result<
         let rays = rays_by_keypoint(input, track);
         let paths: Vec<Path> = (0..names.len())
             .into_par_iter()
-            .map(|k| path(input, &rays[k], interpolated(&of_keypoint(start, k)), acceleration_density(names[k])))
+            .map(|k| path(input, &rays[k], interpolated(of_keypoint(start, k)), acceleration_density(names[k])))
             .collect();
         Ok(transposed(track, &rays, &paths))
     };
@@ -101,11 +101,16 @@ fn path(input: &TrackedPeople, rays: &[KeypointRay], start: Option<Path>, densit
     let precision = second_difference_variance(density, dt).recip();
     let is_agreed = agreed(input, rays, &points);
     let longest = (MAX_BRIDGED_SECS / dt).round() as usize;
+    let (mut system, mut bridged, mut gradient) = (PointChain::zeros(points.len()), Vec::new(), Vec::new());
     // From ten times the robust scale down: the start may be 0.2 m off.
     for iteration in 0..N_STEPS {
         let widening = (10.0f64).powf(1.0 - iteration as f64 / (N_STEPS - 1) as f64);
-        let smoothness = smoothness(&points, &is_agreed, longest, precision);
-        if !step(input, rays, &mut points, smoothness, OUTLIER_SIGMAS * widening) {
+        bridged.clear();
+        bridged.extend(points.iter().zip(&is_agreed).map(|(point, is_agreed)| is_agreed.then_some(*point)));
+        bridge(&mut bridged, longest);
+        system.set_second_differences(smoothness(&points, &bridged, precision));
+        system.times(&points, &mut gradient);
+        if step(input, rays, &mut points, (&mut system, &mut gradient), OUTLIER_SIGMAS * widening).is_none() {
             break;
         }
     }
@@ -113,28 +118,27 @@ fn path(input: &TrackedPeople, rays: &[KeypointRay], start: Option<Path>, densit
 }
 
 /// Points without gaps: linear between known ones, constant at the ends; `None` without any.
-fn interpolated(points: &[Option<Vector3<f64>>]) -> Option<Path> {
-    let bridged = bridged(points, usize::MAX);
-    let first = bridged.iter().find_map(|point| *point)?;
+fn interpolated(mut points: Vec<Option<Vector3<f64>>>) -> Option<Path> {
+    bridge(&mut points, usize::MAX);
+    let first = points.iter().find_map(|point| *point)?;
     let mut last = first;
-    let filled = bridged.into_iter().map(|point| {
+    let filled = points.into_iter().map(|point| {
         last = point.unwrap_or(last);
         last
     });
     Some(filled.collect())
 }
 
-/// The points with those between known ones at most `longest` frames apart, on the line through these.
-fn bridged(points: &[Option<Vector3<f64>>], longest: usize) -> Vec<Option<Vector3<f64>>> {
-    let known: Vec<(usize, Vector3<f64>)> = points.iter().enumerate().filter_map(|(t, p)| Some((t, (*p)?))).collect();
-    let mut bridged = points.to_vec();
-    for pair in known.windows(2) {
-        let ((s, a), (e, b)) = (pair[0], pair[1]);
-        if e - s <= longest {
-            (s + 1..e).for_each(|t| bridged[t] = Some(a + (b - a) * ((t - s) as f64 / (e - s) as f64)));
+/// Fills in the points between known ones at most `longest` frames apart, on the line through these.
+fn bridge(points: &mut [Option<Vector3<f64>>], longest: usize) {
+    let mut before: Option<(usize, Vector3<f64>)> = None;
+    for e in 0..points.len() {
+        let Some(b) = points[e] else { continue };
+        if let Some((s, a)) = before.filter(|(s, _)| e - s <= longest) {
+            (s + 1..e).for_each(|t| points[t] = Some(a + (b - a) * ((t - s) as f64 / (e - s) as f64)));
         }
+        before = Some((e, b));
     }
-    bridged
 }
 
 /// Fewest views that agree on a point: of two, one may be wrong and the point still near both rays.
@@ -160,32 +164,28 @@ const ACCELERATION_SIGMAS: f64 = 5.0;
 /// Longest time between points that views agree on over which they show an acceleration, s: a strike and its return take longer.
 const MAX_BRIDGED_SECS: f64 = 0.3;
 
-/// The cost of accelerations, re-weighted at `points`; `precision`: inverse variance of a second difference.
+/// Weights of the second differences, for the cost of accelerations at `points`; `precision`: inverse variance of a second difference.
 ///
-/// An acceleration counts as one where the points that views agree on show it as well, those between them taken as linear: the start
-/// of others may be far off.
-fn smoothness(points: &[Vector3<f64>], is_agreed: &[bool], longest: usize, precision: f64) -> PointChain {
-    let agreed: Vec<Option<Vector3<f64>>> =
-        points.iter().zip(is_agreed).map(|(point, is_agreed)| is_agreed.then_some(*point)).collect();
-    let agreed = bridged(&agreed, longest);
-    PointChain::of_second_differences(points.len(), |t| {
-        let (Some(a), Some(b), Some(c)) = (agreed[t - 1], agreed[t], agreed[t + 1]) else { return precision };
+/// An acceleration counts as one where the points that views agree on show it as well, those between them taken as linear (`bridged`):
+/// the start of others may be far off.
+fn smoothness(points: &[Vector3<f64>], bridged: &[Option<Vector3<f64>>], precision: f64) -> impl Fn(usize) -> f64 {
+    move |t| {
+        let (Some(a), Some(b), Some(c)) = (bridged[t - 1], bridged[t], bridged[t + 1]) else { return precision };
         let shown = second_difference([a, b, c]).norm_squared();
         let own = second_difference([points[t - 1], points[t], points[t + 1]]).norm_squared();
         precision * cauchy_weight(own.min(shown) * precision, ACCELERATION_SIGMAS)
-    })
+    }
 }
 
-/// One re-weighted Gauss-Newton step on a whole path; false where the system cannot be solved.
+/// One re-weighted Gauss-Newton step on a whole path, from system and gradient of the smoothness, which are used up; `None` where
+/// the system cannot be solved.
 fn step(
     input: &TrackedPeople,
     rays: &[KeypointRay],
     points: &mut [Vector3<f64>],
-    smoothness: PointChain,
+    (system, gradient): (&mut PointChain, &mut [Vector3<f64>]),
     robust_scale: f64,
-) -> bool {
-    let mut gradient = smoothness.times(points);
-    let mut system = smoothness;
+) -> Option<()> {
     let is_monocular = input.session.views.len() == 1;
     let damping = Matrix3::from_diagonal_element(if is_monocular { MONOCULAR_DAMPING } else { DAMPING });
     system.diagonal.iter_mut().for_each(|block| *block += damping);
@@ -195,9 +195,9 @@ fn step(
             system.diagonal[ray.t] += hessian;
         }
     }
-    let Some(delta) = system.solve(gradient) else { return false };
-    points.iter_mut().zip(delta).for_each(|(point, delta)| *point -= delta);
-    true
+    system.solve(gradient)?;
+    points.iter_mut().zip(gradient).for_each(|(point, delta)| *point -= *delta);
+    Some(())
 }
 
 /// Gradient and Gauss-Newton Hessian of one detection's cost by its point.
