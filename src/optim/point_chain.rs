@@ -62,14 +62,14 @@ impl PointChain {
                 reduced -= near[t - 1].transpose() * two;
                 near[t] = reduced * diagonal[t - 1];
                 diagonal[t] -= near[t] * reduced.transpose();
-                b[t] = b[t] - near[t] * b[t - 1];
+                b[t] -= near[t] * b[t - 1];
             } else {
                 near[t] = Matrix3::zeros();
             }
             if t >= 2 {
                 let far = diagonal[t - 2] * two;
                 diagonal[t] -= far * two;
-                b[t] = b[t] - far * b[t - 2];
+                b[t] -= far * b[t - 2];
             }
             diagonal[t] = inverse_of_positive(&diagonal[t])?;
         }
