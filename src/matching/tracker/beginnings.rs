@@ -6,7 +6,7 @@
 use super::nearest_detections::nearest_detections;
 use super::person::TrackedPerson;
 use super::scene::{Assignment, TrackerConfig, TrackerScene};
-use super::stitching::MAX_GAP_SECS;
+use super::stitching::max_gap;
 use crate::progress::{Canceled, Progress};
 
 /// Extends persons to frames before their first one.
@@ -20,7 +20,7 @@ pub(super) fn follow_backwards(
     progress: &Progress,
 ) -> Result<Vec<TrackedPerson>, Canceled> {
     let backwards = &scene.backwards();
-    let max_gap = (MAX_GAP_SECS * scene.fps).max(1.0) as usize;
+    let max_gap = max_gap(scene);
     let mut beginnings: Vec<TrackedPerson> = people.iter().map(|p| p.backwards_from_start(backwards)).collect();
     for frame in 0..scene.n_frames {
         if frame % 64 == 0 {
@@ -31,7 +31,7 @@ pub(super) fn follow_backwards(
         if expected.is_empty() {
             continue;
         }
-        let free = backwards.unassigned(frame, &assigned(&people, scene.n_frames - 1 - frame));
+        let free = backwards.unassigned(frame, &assigned(&people, scene.from_other_end(frame)));
         let followed: Vec<TrackedPerson> = expected.iter().map(|&i| std::mem::take(&mut beginnings[i])).collect();
         let assignments = nearest_detections(backwards, config, frame, &followed, &free);
         for ((i, mut person), mut assignment) in expected.into_iter().zip(followed).zip(assignments) {
@@ -39,7 +39,7 @@ pub(super) fn follow_backwards(
             beginnings[i] = person;
         }
     }
-    Ok(people.into_iter().zip(beginnings).map(|(person, beginning)| person.with_beginning(scene, beginning)).collect())
+    Ok(people.into_iter().zip(&beginnings).map(|(person, beginning)| person.with_beginning(scene, beginning)).collect())
 }
 
 /// What persons have of the detections of a frame.

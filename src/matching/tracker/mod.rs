@@ -1,8 +1,9 @@
 //! The 3D tracker: assigns every detection to a person, frame by frame, under known cameras.
 //!
-//! A person is a predicted skeleton (`person`). In each frame every view assigns its detections to the nearest
-//! predictions (`nearest_detections`); persons held by a single view are re-acquired by the others (`reacquisition`); unassigned detections start
-//! new persons (`initialisation`), or continue a person that is lost where no other person can be meant (`continuation`).
+//! A person is a predicted skeleton (`person`). In each frame every view assigns its detections to the nearest predictions
+//! (`nearest_detections`); persons held by a single view are re-acquired by the others (`reacquisition`); unassigned
+//! detections start new persons (`initialisation`), or continue a person that is lost where no other person can be meant
+//! (`continuation`).
 //! A detector may have exchanged a person's left and right (`exchanged_sides`). At last persons are followed backwards from where
 //! they were found (`beginnings`).
 //! Long takes are followed in windows side by side (`tracking_windows`). At the end duplicates are merged (`duplicate_merging`),

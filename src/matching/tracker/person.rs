@@ -128,21 +128,21 @@ impl TrackedPerson {
             true => shift(&self.skeletons[0], &self.skeletons[later - 1]) / seconds,
             false => Vector3::zeros(),
         };
-        let first = (backwards.n_frames - 1 - self.first(), self.assignments[0].1.clone());
+        let first = (backwards.from_other_end(self.first()), self.assignments[0].1.clone());
         let (assignments, skeletons) = (vec![first], vec![self.skeletons[0].clone()]);
         Self { assignments, skeletons, velocity, n_confirmed: self.n_confirmed }
     }
 
     /// The person with what following it backwards has found after its first frame.
-    pub(super) fn with_beginning(self, scene: &TrackerScene, beginning: Self) -> Self {
-        if beginning.assignments.len() < 2 {
+    pub(super) fn with_beginning(self, scene: &TrackerScene, beginning: &Self) -> Self {
+        let n_found = beginning.assignments.len();
+        if n_found < 2 {
             return self;
         }
-        let in_time = |(frame, assignment): (usize, Assignment)| (scene.n_frames - 1 - frame, assignment);
-        let mut whole = Self { velocity: Vector3::zeros(), n_confirmed: 0, ..beginning };
-        whole.assignments = whole.assignments.into_iter().skip(1).rev().map(in_time).collect();
-        whole.skeletons = whole.skeletons.into_iter().skip(1).rev().collect();
-        whole.n_confirmed = whole.assignments.iter().filter(|(_, a)| scene.is_confirmed(a)).count();
+        let mut whole = beginning.piece(scene, 1..n_found);
+        whole.assignments.reverse();
+        whole.skeletons.reverse();
+        whole.assignments.iter_mut().for_each(|(frame, _)| *frame = scene.from_other_end(*frame));
         whole.append(self);
         whole
     }

@@ -121,9 +121,14 @@ impl<'a> TrackerScene<'a> {
         Self { is_backwards: !self.is_backwards, ..*self }
     }
 
+    /// The number of a frame in the other order.
+    pub(super) fn from_other_end(&self, frame: usize) -> usize {
+        self.n_frames - 1 - frame
+    }
+
     /// The detections of a view in a frame.
     pub(super) fn detections(&self, view: usize, frame: usize) -> &'a [NormalizedDetection] {
-        let frame = if self.is_backwards { self.n_frames - 1 - frame } else { frame };
+        let frame = if self.is_backwards { self.from_other_end(frame) } else { frame };
         &self.views[view].frames[frame]
     }
 

@@ -9,7 +9,12 @@ use crate::matching::assignment::assign;
 use std::collections::BTreeMap;
 
 /// Out of sight for longer than this, s, a person is not followed: the next person nearby may be another one.
-pub(super) const MAX_GAP_SECS: f64 = 0.2;
+const MAX_GAP_SECS: f64 = 0.2;
+
+/// [`MAX_GAP_SECS`] in frames.
+pub(super) fn max_gap(scene: &TrackerScene) -> usize {
+    (MAX_GAP_SECS * scene.fps).max(1.0) as usize
+}
 
 /// Joins fragments end to start: of all ways to do so, the one with the greatest evidence.
 ///
@@ -36,7 +41,7 @@ pub(super) fn stitch(scene: &TrackerScene, followed: Vec<TrackedPerson>) -> Vec<
 
 /// The pieces between gaps longer than [`MAX_GAP_SECS`].
 fn split(scene: &TrackerScene, followed: TrackedPerson) -> Vec<TrackedPerson> {
-    let max_gap = (MAX_GAP_SECS * scene.fps).max(1.0) as usize;
+    let max_gap = max_gap(scene);
     let frames: Vec<usize> = followed.assignments.iter().map(|(frame, _)| *frame).collect();
     let gaps: Vec<usize> = (1..frames.len()).filter(|&k| frames[k] - frames[k - 1] > max_gap).collect();
     if gaps.is_empty() {

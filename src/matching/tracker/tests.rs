@@ -15,14 +15,18 @@ fn hanging(camera: &Rigid, top: Vector3<f64>, size: f64) -> NormalizedDetection 
 }
 
 fn tracked(views: &[NormalizedView], cameras: &[Option<Rigid>]) -> Vec<TrackedPerson> {
+    tracked_at(30.0, views, cameras)
+}
+
+fn tracked_at(fps: f64, views: &[NormalizedView], cameras: &[Option<Rigid>]) -> Vec<TrackedPerson> {
     let bones = limb_bones(KeypointConvention::Coco17);
     let scene = TrackerScene {
         views,
         cameras,
         bones: &bones,
         mirror: &KeypointConvention::Coco17.mirror(),
-        fps: 30.0,
-        n_frames: 60,
+        fps,
+        n_frames: views[0].frames.len(),
         is_backwards: false,
     };
     track(&scene, &TrackerConfig::default(), &Progress::silent()).unwrap()
@@ -80,17 +84,7 @@ fn a_runner_was_a_new_person_in_every_frame() {
         };
         let frames = |camera: &Rigid| (0..20).map(|frame| at(camera, frame)).collect();
         let views = cameras.map(|c| NormalizedView { focal: 1000.0, frames: frames(&c.unwrap()) });
-        let bones = limb_bones(KeypointConvention::Coco17);
-        let scene = TrackerScene {
-            views: &views,
-            cameras: &cameras,
-            bones: &bones,
-            mirror: &KeypointConvention::Coco17.mirror(),
-            fps: 25.0,
-            n_frames: 20,
-            is_backwards: false,
-        };
-        let people = track(&scene, &TrackerConfig::default(), &Progress::silent()).unwrap();
+        let people = tracked_at(25.0, &views, &cameras);
         assert_eq!(people.len(), n);
         for person in people {
             let d = person.assignments[0].1[0];
@@ -149,6 +143,14 @@ fn standing(camera: &Rigid, place: Vector3<f64>) -> NormalizedDetection {
     NormalizedDetection::of_points(HEIGHTS.iter().enumerate().map(point).map(seen).collect(), 0.3)
 }
 
+/// Cameras at the height of 0.8 m, 5 m from the origin: 40 degrees to its sides, and before it.
+fn three_cameras() -> [Option<Rigid>; 3] {
+    [-0.7, 0.7, 0.0].map(|angle| {
+        let rotation = nalgebra::Rotation3::from_axis_angle(&Vector3::y_axis(), angle).into_inner();
+        Some(Rigid { rotation, translation: Vector3::new(0.0, 0.8, 5.0) })
+    })
+}
+
 /// What a camera with exchanged sides reports.
 fn exchanged(seen: &NormalizedDetection) -> NormalizedDetection {
     let normalized = KeypointConvention::Coco17.mirror().iter().map(|&twin| seen.normalized[twin]).collect();
@@ -158,11 +160,7 @@ fn exchanged(seen: &NormalizedDetection) -> NormalizedDetection {
 /// The third of three cameras exchanges left and right for half a second, then the first two do, at the same time.
 #[test]
 fn exchanged_sides_were_another_person_at_the_same_place() {
-    let turned = |angle: f64| {
-        let rotation = nalgebra::Rotation3::from_axis_angle(&Vector3::y_axis(), angle).into_inner();
-        Some(Rigid { rotation, translation: Vector3::new(0.0, 0.8, 5.0) })
-    };
-    let cameras = [-0.7, 0.7, 0.0].map(turned);
+    let cameras = three_cameras();
     let is_exchanged = |view: usize, frame: usize| if view == 2 { 10..25 } else { 35..50 }.contains(&frame);
     let frames = |view: usize| -> Vec<Vec<NormalizedDetection>> {
         let at = |frame: usize| {
@@ -204,11 +202,7 @@ fn sides_that_are_exchanged_at_first_are_not_kept() {
 /// A person comes into sight of one camera a second before two others see it, and is lost by all for two seconds.
 #[test]
 fn a_person_was_followed_out_of_the_scene_and_not_into_it() {
-    let turned = |angle: f64| {
-        let rotation = nalgebra::Rotation3::from_axis_angle(&Vector3::y_axis(), angle).into_inner();
-        Some(Rigid { rotation, translation: Vector3::new(0.0, 0.8, 5.0) })
-    };
-    let cameras = [-0.7, 0.7, 0.0].map(turned);
+    let cameras = three_cameras();
     let is_seen = |view: usize, frame: usize| match view {
         2 => (10..60).contains(&frame) || frame >= 120,
         _ => (40..60).contains(&frame) || frame >= 150,
@@ -219,18 +213,7 @@ fn a_person_was_followed_out_of_the_scene_and_not_into_it() {
     };
     let views =
         [0, 1, 2].map(|view| NormalizedView { focal: 1000.0, frames: (0..180).map(|frame| at(view, frame)).collect() });
-    let bones = limb_bones(KeypointConvention::Coco17);
-    let mirror = &KeypointConvention::Coco17.mirror();
-    let scene = TrackerScene {
-        views: &views,
-        cameras: &cameras,
-        bones: &bones,
-        mirror,
-        fps: 30.0,
-        n_frames: 180,
-        is_backwards: false,
-    };
-    let people = track(&scene, &TrackerConfig::default(), &Progress::silent()).unwrap();
+    let people = tracked(&views, &cameras);
     assert_eq!(people.len(), 1);
     let followed: Vec<usize> = people[0].assignments.iter().map(|(frame, _)| *frame).collect();
     assert_eq!(followed, (10..60).chain(120..180).collect::<Vec<_>>());
