@@ -31,7 +31,7 @@ pub(super) fn follow_backwards(
         if expected.is_empty() {
             continue;
         }
-        let free = backwards.unassigned(frame, &assigned(&people, scene.from_other_end(frame)));
+        let free = backwards.unassigned(frame, &assigned(&people, scene.mirrored_frame(frame)));
         let followed: Vec<TrackedPerson> = expected.iter().map(|&i| std::mem::take(&mut beginnings[i])).collect();
         let assignments = nearest_detections(backwards, config, frame, &followed, &free);
         for ((i, mut person), mut assignment) in expected.into_iter().zip(followed).zip(assignments) {

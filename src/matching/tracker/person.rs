@@ -128,7 +128,7 @@ impl TrackedPerson {
             true => shift(&self.skeletons[0], &self.skeletons[later - 1]) / seconds,
             false => Vector3::zeros(),
         };
-        let first = (backwards.from_other_end(self.first()), self.assignments[0].1.clone());
+        let first = (backwards.mirrored_frame(self.first()), self.assignments[0].1.clone());
         let (assignments, skeletons) = (vec![first], vec![self.skeletons[0].clone()]);
         Self { assignments, skeletons, velocity, n_confirmed: self.n_confirmed }
     }
@@ -142,7 +142,7 @@ impl TrackedPerson {
         let mut whole = beginning.piece(scene, 1..n_found);
         whole.assignments.reverse();
         whole.skeletons.reverse();
-        whole.assignments.iter_mut().for_each(|(frame, _)| *frame = scene.from_other_end(*frame));
+        whole.assignments.iter_mut().for_each(|(frame, _)| *frame = scene.mirrored_frame(*frame));
         whole.append(self);
         whole
     }

@@ -122,13 +122,13 @@ impl<'a> TrackerScene<'a> {
     }
 
     /// The number of a frame in the other order.
-    pub(super) fn from_other_end(&self, frame: usize) -> usize {
+    pub(super) fn mirrored_frame(&self, frame: usize) -> usize {
         self.n_frames - 1 - frame
     }
 
     /// The detections of a view in a frame.
     pub(super) fn detections(&self, view: usize, frame: usize) -> &'a [NormalizedDetection] {
-        let frame = if self.is_backwards { self.from_other_end(frame) } else { frame };
+        let frame = if self.is_backwards { self.mirrored_frame(frame) } else { frame };
         &self.views[view].frames[frame]
     }
 
