@@ -122,7 +122,8 @@ impl BlockBanded {
         self.layout = Layout { n: 3 * n_groups, n_border };
         let n_panels = n_frames * self.layout.panel_len();
         if n_panels > self.panels.capacity() {
-            self.panels = LargeArray::zeros(n_panels); // nothing is copied
+            // Nothing is copied. Room for a wider border costs nothing before it is used.
+            self.panels = LargeArray::zeros(n_panels + n_panels / 4);
         }
         self.panels.set_len(n_panels);
         self.starts.resize(n_frames * self.layout.frame_strips(), 0);
@@ -184,7 +185,7 @@ impl BlockBanded {
             0 => DVector::zeros(0),
             _ => corner.cholesky()?.solve(&right),
         };
-        self.substituted(border)
+        self.substituted(border, 1.0)
     }
 
     /// [`eliminated`](Self::eliminated) of a system whose frames were [eliminated](Self::fill_and_eliminate), and whose corner is
@@ -248,10 +249,10 @@ impl BlockBanded {
         (corner, DVector::from_fn(n, |i, _| -(gradient[i] + at(n, i))))
     }
 
-    /// The step of all frames of a factored system, given the border's.
-    fn substituted(&self, border: DVector<f64>) -> Option<BandedStep> {
+    /// The step of all frames of a factored system, given the border's and the share of the frames' gradient that counts.
+    fn substituted(&self, border: DVector<f64>, gradient_share: f64) -> Option<BandedStep> {
         let Self { layout, panels, starts, .. } = self;
-        let frames = vectorised(Substitution { layout: *layout, panels, starts, border: &border });
+        let frames = vectorised(Substitution { layout: *layout, panels, starts, border: &border, gradient_share });
         let is_finite = border.iter().chain(frames.iter().flat_map(|f| f.iter())).all(|v| v.is_finite());
         is_finite.then_some(BandedStep { frames, border })
     }
@@ -269,7 +270,12 @@ pub struct Eliminated {
 impl Eliminated {
     /// The step of all frames, given the border's; `None` where it is not finite.
     pub fn step(&self, border: DVector<f64>) -> Option<BandedStep> {
-        self.factor.substituted(border)
+        self.factor.substituted(border, 1.0)
+    }
+
+    /// The step of the border, and of frames that follow it: those at their minimum stay at it. `None` where it is not finite.
+    pub fn following(&self, border: DVector<f64>) -> Option<BandedStep> {
+        self.factor.substituted(border, 0.0)
     }
 
     /// The system that was used up, for the next one.

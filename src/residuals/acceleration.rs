@@ -43,20 +43,18 @@ pub fn rotation_change(earlier: &Matrix3<f64>, middle: &Matrix3<f64>, later: &Ma
 
 /// [`rotation_change`] with its derivatives.
 ///
-/// Derivatives of `e = log(R_1^T R_2)` (method.md 9.2): `J_r^-1(e)` by the second increment, `-J_r^-1(-e)` by the first.
+/// Derivatives of `e = log(R_1^T R_2)` (method.md 9.2): `J_r^-1(e)` by the second increment, `-J_r^-1(-e) = -J_r^-1(e)^T` by the
+/// first.
 pub fn linearized_rotation_change(
     earlier: &Matrix3<f64>,
     middle: &Matrix3<f64>,
     later: &Matrix3<f64>,
 ) -> RotationChange {
     let [before, after] = steps(earlier, middle, later);
+    let [of_before, of_after] = [before, after].map(|step| rotation::right_jacobian_inverse(&step));
     RotationChange {
         value: after - before,
-        jacobians: [
-            rotation::right_jacobian_inverse(&-before),
-            -rotation::right_jacobian_inverse(&-after) - rotation::right_jacobian_inverse(&before),
-            rotation::right_jacobian_inverse(&after),
-        ],
+        jacobians: [of_before.transpose(), -of_after.transpose() - of_before, of_after],
     }
 }
 

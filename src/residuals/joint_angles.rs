@@ -5,7 +5,7 @@ use crate::geometry::rotation;
 use nalgebra::{Matrix3, Vector3};
 
 /// A cost over a joint's right increment `R <- R exp(d)`, to second order: `cost + gradient . d + d^T hessian d / 2`.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct JointAngleCost {
     /// Half the sum of squared residuals.
     pub cost: f64,
@@ -41,6 +41,9 @@ pub fn joint_angle_cost(rotation: &Matrix3<f64>, range: &JointRange, weights: &J
         cost += 0.5 * (precision * from_rest * from_rest + wall * over * over);
         slope[axis] = precision * from_rest + wall * over;
         curvature[axis] = precision + wall;
+    }
+    if curvature == Vector3::zeros() {
+        return JointAngleCost::default(); // within all walls, and not drawn to rest
     }
     let jacobian = rotation::right_jacobian_inverse(&v);
     let hessian = jacobian.transpose() * Matrix3::from_diagonal(&curvature) * jacobian;

@@ -214,7 +214,7 @@ mod tests {
 
     #[test]
     fn dancers_stay_in_reach_without_collision() {
-        let capsules = BodyCapsules::fitted(&default_body());
+        let capsules = BodyCapsules::of(&default_body());
         for seed in 0..6 {
             let truth = truth(seed, 300, 30.0);
             let mut deepest: Vec<f64> = (0..300).step_by(5).map(|f| overlap(&truth, &capsules, f)).collect();

@@ -36,6 +36,33 @@ fn assert_near(name: &str, [rms, p95]: [f64; 2]) {
     assert!(rms <= 8.0 && p95 <= 16.0, "{name}: {rms}, {p95}");
 }
 
+/// To write the file again: `WANDLESS_WRITE_ASSETS=1 cargo test --release --test body`, after the body itself.
+#[test]
+fn the_embedded_capsules_are_those_that_are_fitted() {
+    let model = default_body();
+    let fitted = BodyCapsules::fitted(&model).to_bytes();
+    if std::env::var_os("WANDLESS_WRITE_ASSETS").is_some() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/assets/default-adult-v1-capsules.f64");
+        std::fs::write(path, &fitted).unwrap();
+    }
+    let numbers =
+        |bytes: Vec<u8>| -> Vec<f64> { bytes.as_chunks().0.iter().map(|number| f64::from_le_bytes(*number)).collect() };
+    let (embedded, fitted) = (numbers(BodyCapsules::of(&model).to_bytes()), numbers(fitted));
+    assert_eq!(embedded.len(), fitted.len());
+    let largest = embedded.iter().zip(&fitted).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(largest < 1e-9, "{largest} m: write the file again, see the test's comment");
+}
+
+/// A body with joints elsewhere is not the default body, though its skin is.
+#[test]
+fn a_body_with_moved_joints_has_capsules_of_its_own() {
+    let mut shifts = [Vector3::zeros(); N_JOINTS];
+    shifts[18] = Vector3::new(0.03, 0.0, 0.0);
+    let moved = default_body().with_joints_moved(&shifts);
+    assert!(BodyCapsules::of(&moved) == BodyCapsules::fitted(&moved));
+    assert!(BodyCapsules::of(&moved) != BodyCapsules::of(&default_body()));
+}
+
 #[test]
 fn the_capsules_follow_the_skin_of_every_shape() {
     let model = default_body();

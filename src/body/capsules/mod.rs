@@ -9,6 +9,7 @@
 //! not covered.
 
 mod body_capsules;
+mod embedded;
 mod fit;
 mod start;
 

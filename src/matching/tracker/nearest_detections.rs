@@ -1,6 +1,6 @@
 //! Detections of a frame for the persons who are expected in it.
 
-use super::exchanged_sides::{self, EXCHANGED_NATS, is_exchanged};
+use super::exchanged_sides::{self, EXCHANGED_NATS, MAX_EXCHANGED_M, is_exchanged};
 use super::person::TrackedPerson;
 use super::scene::{Assignment, Seen, Shown, TrackerConfig, TrackerScene};
 use super::skeleton;
@@ -31,7 +31,8 @@ pub(super) fn nearest_detections(
         let cost = |p: usize, d: usize| {
             let gate = config.gate + config.gate_growth * (frame - people[p].last_seen() - 1) as f64 / scene.fps;
             let factor = if people[p].is_real(scene, config) { 1.0 } else { UNCONFIRMED_FACTOR };
-            let distance = |seen: Seen| skeleton::distance_to_detection(&predictions[p], camera, seen);
+            let limit = (gate / factor).max(MAX_EXCHANGED_M);
+            let distance = |seen: Seen| skeleton::distance_within(&predictions[p], camera, seen, limit);
             let cost = |m: f64| assignment_cost(m * factor, gate, config.gate);
             let Some(detected) = distance(Seen::as_detected(&detections[d])) else { return (IMPOSSIBLE, false) };
             let before = people[p].last_assignment()[view].map(|shown| shown.is_exchanged);

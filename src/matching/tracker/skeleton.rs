@@ -42,6 +42,12 @@ pub(super) fn distance_to_either_side(scene: &TrackerScene, one: &Skeleton, othe
 
 /// Median distance of a detection to a projected skeleton, in metres on the body; `None` with too few shared keypoints.
 pub(super) fn distance_to_detection(skeleton: &Skeleton, camera: &Rigid, seen: Seen) -> Option<f64> {
+    distance_within(skeleton, camera, seen, f64::INFINITY)
+}
+
+/// [`distance_to_detection`] where it is less than `limit`, m. Most people of a scene are farther than that from a detection, and to
+/// count their keypoints takes less than to order them.
+pub(super) fn distance_within(skeleton: &Skeleton, camera: &Rigid, seen: Seen, limit: f64) -> Option<f64> {
     let mut squares: Vec<f64> = Vec::with_capacity(skeleton.len());
     for (k, point) in skeleton.iter().enumerate() {
         if seen.confidence(k) < DETECTOR.comparable {
@@ -49,7 +55,10 @@ pub(super) fn distance_to_detection(skeleton: &Skeleton, camera: &Rigid, seen: S
         }
         squares.extend(point.and_then(|p| squared_offset(camera, &p, &seen.normalized(k))));
     }
-    if squares.len() < MIN_SHARED { None } else { median(&mut squares).map(f64::sqrt) }
+    let n_within = squares.iter().filter(|square| **square < limit * limit).count();
+    // The median is the upper one.
+    let is_within = squares.len() >= MIN_SHARED && n_within > squares.len() / 2;
+    if is_within { median(&mut squares).map(f64::sqrt) } else { None }
 }
 
 /// The keypoints that at least two views see, triangulated so that one wrong view does not move them.

@@ -1,6 +1,6 @@
 //! The factor of one frame as matrices, for what follows the elimination and is not on its hot path.
 
-use super::layout::STRIP;
+use super::layout::{Layout, STRIP};
 use super::{BlockBanded, Eliminated};
 use nalgebra::DMatrix;
 
@@ -24,14 +24,41 @@ impl Eliminated {
     pub(super) fn frame_factor(&self, t: usize) -> FrameFactor {
         let BlockBanded { layout, panels, .. } = &self.factor;
         let (n, panel) = (layout.n, &panels[t * layout.panel_len()..(t + 1) * layout.panel_len()]);
-        let rows = |first: usize, count: usize| {
-            DMatrix::from_fn(count, n, |row, column| panel[layout.row(first + row) + STRIP * column])
-        };
+        let rows = |first: usize, count: usize| rows(*layout, panel, first, count);
         let later = |lag: usize| rows(layout.frame_rows(lag), if t + lag < self.n_frames() { n } else { 0 });
-        let mut inverse = DMatrix::identity(n, n);
-        // The elimination has divided by the diagonal: none of it is zero.
-        let _ = later(0).solve_lower_triangular_mut(&mut inverse);
         let to_border = rows(layout.border_rows(), layout.n_border);
-        FrameFactor { inverse, to_next: later(1), to_after_next: later(2), to_border }
+        FrameFactor { inverse: inverse_lower(&later(0)), to_next: later(1), to_after_next: later(2), to_border }
     }
+}
+
+/// Rows of a panel from `first` on, which begins a strip.
+fn rows(layout: Layout, panel: &[f64], first: usize, count: usize) -> DMatrix<f64> {
+    let mut rows = DMatrix::zeros(count, layout.n);
+    for (column, mut values) in rows.column_iter_mut().enumerate() {
+        let strips = values.as_mut_slice().chunks_mut(STRIP).enumerate();
+        for (strip, values) in strips {
+            let at = layout.row(first + STRIP * strip) + STRIP * column;
+            values.copy_from_slice(&panel[at..at + values.len()]);
+        }
+    }
+    rows
+}
+
+/// The inverse of a lower triangle, whose diagonal is positive; nothing above the diagonal is read.
+///
+/// A column of the identity is zero above its one, which solvers for any right-hand side do not use: a third of their work.
+fn inverse_lower(lower: &DMatrix<f64>) -> DMatrix<f64> {
+    let n = lower.nrows();
+    let mut inverse = DMatrix::identity(n, n);
+    for first in 0..n {
+        let mut column = inverse.column_mut(first);
+        let column = column.as_mut_slice();
+        for k in first..n {
+            let by = &lower.as_slice()[k * n..(k + 1) * n];
+            column[k] /= by[k];
+            let value = column[k];
+            column[k + 1..].iter_mut().zip(&by[k + 1..]).for_each(|(rest, by)| *rest -= value * by);
+        }
+    }
+    inverse
 }

@@ -14,14 +14,14 @@ pub(super) struct Following {
 }
 
 impl Following {
-    /// The movement of a frame with this factor, by column of `border`; frames come from the last to the first.
-    pub(super) fn step(&mut self, factor: &FrameFactor, border: &DMatrix<f64>) -> &DMatrix<f64> {
-        // Products of transposed copies are several times faster than those of columns with columns.
-        self.substituted(factor, factor.to_border.transpose() * border)
+    /// The movement of a frame with this factor per unit of each unknown of the border; frames come from the last to the first.
+    pub(super) fn response(&mut self, factor: &FrameFactor) -> &DMatrix<f64> {
+        self.substituted(factor, factor.to_border.transpose())
     }
 
     /// `-(L^-T y)` of a frame.
     fn substituted(&mut self, factor: &FrameFactor, mut y: DMatrix<f64>) -> &DMatrix<f64> {
+        // Products of transposed copies are several times faster than those of columns with columns.
         for (to_later, later) in [(&factor.to_next, &self.next), (&factor.to_after_next, &self.after_next)] {
             if !to_later.is_empty() {
                 y.gemm(1.0, &to_later.transpose(), later, 1.0);

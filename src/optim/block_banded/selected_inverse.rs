@@ -21,8 +21,7 @@ impl Eliminated {
         // Z[t+1][t+1], Z[t+2][t+2] and Z[t+2][t+1] of the frames behind.
         let (mut one, mut two, mut across): (DMatrix<f64>, DMatrix<f64>, DMatrix<f64>) = Default::default();
         let n_frames = self.n_frames();
-        let n_border = self.factor.layout.n_border;
-        let (border, mut following) = (DMatrix::identity(n_border, n_border), Following::default());
+        let mut following = Following::default();
         for t in (0..n_frames).rev() {
             let factor = self.frame_factor(t);
             let mut own = factor.inverse.transpose() * &factor.inverse;
@@ -40,7 +39,7 @@ impl Eliminated {
                 own.gemm(-1.0, &next.transpose(), &to_next, 1.0);
             }
             make_symmetric(&mut own);
-            visit(t, &own, following.step(&factor, &border));
+            visit(t, &own, following.response(&factor));
             (two, across, one) = (one, next, own);
         }
     }

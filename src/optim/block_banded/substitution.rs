@@ -4,13 +4,15 @@ use super::layout::{Layout, STRIP};
 use nalgebra::DVector;
 use pulp::{Simd, WithSimd};
 
-/// Solves `L^T x = -(y + F^T x_border + N^T x_next + A^T x_after)` for all frames, the last one first: `L`, `N`, `A` and `F` are
-/// a panel's parts after the elimination, `y` its gradient.
+/// Solves `L^T x = -(c y + F^T x_border + N^T x_next + A^T x_after)` for all frames, the last one first: `L`, `N`, `A` and `F` are
+/// a panel's parts after the elimination, `y` its gradient, `c` its share.
 pub(super) struct Substitution<'a> {
     pub layout: Layout,
     pub panels: &'a [f64],
     pub starts: &'a [usize],
     pub border: &'a DVector<f64>,
+    /// One; zero for what the frames do because of the border alone.
+    pub gradient_share: f64,
 }
 
 impl WithSimd for Substitution<'_> {
@@ -30,14 +32,14 @@ impl WithSimd for Substitution<'_> {
 impl Substitution<'_> {
     #[inline(always)]
     fn run<S: Simd, const V: usize>(self, simd: S) -> Vec<DVector<f64>> {
-        let Self { layout, panels, starts, border } = self;
+        let Self { layout, panels, starts, border, gradient_share } = self;
         let (n, n_strips) = (layout.n, layout.frame_strips());
         let own_rows = STRIP * n_strips;
-        // What the rows of a panel are multiplied with: steps of the frame, the next, the one after it, the border; one.
+        // What the rows of a panel are multiplied with: steps of the frame, the next, the one after it, the border; its gradient's share.
         let mut steps = vec![0.0; STRIP * layout.border_strips().end];
         let first_of_border = layout.border_rows();
         steps[first_of_border..first_of_border + layout.n_border].copy_from_slice(border.as_slice());
-        steps[first_of_border + layout.n_border] = 1.0;
+        steps[first_of_border + layout.n_border] = gradient_share;
         let mut sums = vec![0.0; STRIP * n];
         let mut frames: Vec<DVector<f64>> = Vec::with_capacity(panels.len() / layout.panel_len());
         for (panel, starts) in panels.chunks_exact(layout.panel_len()).zip(starts.chunks_exact(n_strips)).rev() {

@@ -197,6 +197,11 @@ fn inverse_blocks_and_responses_equal_the_dense_ones() {
         for (t, response) in eliminated.responses(&columns).iter().enumerate() {
             assert!((response - expected.rows(n * t, n)).norm() < 1e-8 * expected.norm(), "frame {t} of {n_frames}");
         }
+        let step = eliminated.following(columns.column(1).into_owned()).unwrap();
+        for (t, frame) in step.frames.iter().enumerate() {
+            let expected = expected.column(1);
+            assert!((frame - expected.rows(n * t, n)).norm() < 1e-8 * expected.norm(), "frame {t} of {n_frames}");
+        }
     }
 }
 

@@ -133,22 +133,22 @@ fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Refined, Cance
     let mut priors = CameraPriors::new(&context.config.known_cameras);
     let mut noise = measured_noise(context, members);
     let slow = |noise: &PathNoise| noise.typical().autocorrelation;
-    let n_rounds = context.config.camera_rounds;
-    for round in 1..=n_rounds {
-        let stopping = if round < n_rounds { &ROUND_STOPPING } else { &STOPPING };
-        problem(context, &table, &noise, Some(&priors)).minimised(members, Vec::new(), stopping)?;
-        if round < n_rounds {
-            if let Some((_, likeliest)) =
-                refined_focal(&problem(context, &table, &noise, Some(&priors)), members, slow(&noise))
-            {
-                priors.overcount = likeliest.overcount;
-            }
-            noise = measured_noise(context, members);
+    for _ in 1..context.config.camera_rounds {
+        let round = problem(context, &table, &noise, Some(&priors));
+        round.minimised(members, Vec::new(), &ROUND_STOPPING)?;
+        if let Some((_, likeliest)) = refined_focal(&round, members, slow(&noise)) {
+            priors.overcount = likeliest.overcount;
         }
+        noise = measured_noise(context, members);
+    }
+    if priors.focal.is_none() {
+        let last = problem(context, &table, &noise, Some(&priors));
+        return Ok((last.minimised_and_marginalised(members, &STOPPING, slow(&noise))?, None));
     }
     // Whether lenses are as given is decided where they are free: held to the given lengths, the noise that is measured there
     // has absorbed their errors.
     let free = problem(context, &table, &noise, Some(&priors));
+    free.minimised(members, Vec::new(), &STOPPING)?;
     let Some((mut focal, likeliest)) = refined_focal(&free, members, slow(&noise)) else {
         return Ok((free.marginalised(members, slow(&noise)), None));
     };

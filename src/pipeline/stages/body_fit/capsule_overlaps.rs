@@ -94,7 +94,7 @@ mod tests {
     #[test]
     fn only_bodies_within_reach_overlap() {
         let model = default_body();
-        let capsules = BodyCapsules::fitted(&model);
+        let capsules = BodyCapsules::of(&model);
         let at = |x: f64| {
             let pose = Pose { translation: Vector3::x() * x, ..Pose::rest() };
             CapsuleBody::new(&capsules, (&model.shaped(&Betas::zeros()), &Betas::zeros()), &pose)

@@ -38,7 +38,7 @@ pub(super) fn resolve_collisions(
     if !is_any_pair_near(people) {
         return Ok(PenetrationReport::default());
     }
-    let capsules = BodyCapsules::fitted(context.model);
+    let capsules = BodyCapsules::of(context.model);
     let mut found = overlaps(context.model, &capsules, people, first_frame);
     let deepest_before = found.deepest.clone();
     let before: Vec<MotionState> = people.iter().map(|person| person.fitted.state.clone()).collect();

@@ -91,6 +91,18 @@ impl JointProblem<'_> {
         offsets: Vec<Vector3<f64>>,
         stopping: &Stopping,
     ) -> Result<Minimum, Canceled> {
+        let (minimum, reduced) = self.minimised_and_reduced(members, offsets, stopping)?;
+        self.context.systems.put_back(reduced.into_iter().flat_map(Reduced::into_systems));
+        Ok(minimum)
+    }
+
+    /// [`Self::minimised`], with the normal equations of where the last step began, if that was short enough to be the last.
+    fn minimised_and_reduced(
+        &self,
+        members: &mut [Member],
+        offsets: Vec<Vector3<f64>>,
+        stopping: &Stopping,
+    ) -> Result<(Minimum, Option<Reduced>), Canceled> {
         let cameras = members.first().map_or_else(Vec::new, |member| member.observations.cameras.clone());
         let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
         let session = SessionState { offsets, cameras };
@@ -101,25 +113,27 @@ impl JointProblem<'_> {
             self.context.progress.check()?;
             let reduced = self.reduced((members, &pixels), &minimum.session, std::mem::take(&mut systems), damping);
             let Some(reduced) = reduced else { break };
-            let step = reduced.solved(damping);
+            let Some(step) = reduced.solved(damping) else {
+                systems = reduced.into_systems();
+                break;
+            };
             let is_near = reduced.rms_sigmas() < stopping.min_sigmas;
-            systems = reduced.into_systems();
-            let Some(step) = step else { break };
             let (next, before) = self.stepped((members, &pixels), &minimum.session, &step);
             if next.cost < minimum.cost {
                 let is_done = is_near || minimum.cost - next.cost < stopping.min_decrease;
                 minimum = next;
                 damping *= 0.1;
                 if is_done {
-                    break;
+                    return Ok((minimum, Some(reduced)));
                 }
             } else {
                 replace_all(members, before, &minimum.session.cameras);
                 damping = (damping * 20.0).max(1e-6);
             }
+            systems = reduced.into_systems();
         }
         self.context.systems.put_back(systems);
-        Ok(minimum)
+        Ok((minimum, None))
     }
 
     /// Memory for the systems of all members.
@@ -327,15 +341,13 @@ impl Reduced {
     }
 
     /// The session moved in its free directions, and motions that follow it: those at their minimum stay at it.
-    fn followed(&self, free: DVector<f64>) -> Step {
+    fn followed(&self, free: DVector<f64>) -> Option<Step> {
         let session = self.session_step(free);
         let motion = |(person, (by_session, _)): (&Eliminated, &(DMatrix<f64>, DVector<f64>))| {
-            let border = joined(&-(by_session * &session), &session);
-            let frames = person.responses(&DMatrix::from_columns(std::slice::from_ref(&border)));
-            BandedStep { frames: frames.iter().map(|frame| frame.column(0).into_owned()).collect(), border }
+            person.following(joined(&-(by_session * &session), &session))
         };
-        let motions = self.people.par_iter().zip(&self.own_parts).map(motion).collect();
-        Step { session, motions }
+        let motions = self.people.par_iter().zip(&self.own_parts).map(motion).collect::<Option<_>>()?;
+        Some(Step { session, motions })
     }
 
     /// The session's unknowns by its free directions.

@@ -24,9 +24,10 @@ use super::super::session_state::SessionState;
 use super::super::terms::camera_unknowns::POSE;
 use super::super::terms::whitened_pixels::spread::Spread;
 use super::camera_covariance::Following;
-use super::{JointProblem, Member, Reduced, replace_all};
+use super::{JointProblem, Member, Reduced, Stopping, replace_all};
 use crate::geometry::Rigid;
 use crate::geometry::free_network::CameraCovariance;
+use crate::progress::Canceled;
 use nalgebra::{DVector, Matrix3, Matrix3xX, Vector3};
 use rayon::prelude::*;
 
@@ -53,9 +54,33 @@ impl JointProblem<'_> {
     ///
     /// `slow`: autocorrelation of the errors from frame to frame.
     pub(in super::super) fn marginalised(&self, members: &mut [Member], slow: f64) -> Option<CameraCovariance> {
+        self.marginalised_from(members, None, slow)
+    }
+
+    /// [`Self::minimised`] and [`Self::marginalised`] from the normal equations of its last step.
+    pub(in super::super) fn minimised_and_marginalised(
+        &self,
+        members: &mut [Member],
+        stopping: &Stopping,
+        slow: f64,
+    ) -> Result<Option<CameraCovariance>, Canceled> {
+        let (_, reduced) = self.minimised_and_reduced(members, Vec::new(), stopping)?;
+        Ok(self.marginalised_from(members, reduced, slow))
+    }
+
+    /// `reduced`: the normal equations, where they are known.
+    fn marginalised_from(
+        &self,
+        members: &mut [Member],
+        reduced: Option<Reduced>,
+        slow: f64,
+    ) -> Option<CameraCovariance> {
         let session = SessionState { offsets: Vec::new(), cameras: members.first()?.observations.cameras.clone() };
         let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
-        let reduced = self.reduced((members, &pixels), &session, self.systems(members), 0.0)?;
+        let reduced = match reduced {
+            Some(reduced) => reduced,
+            None => self.reduced((members, &pixels), &session, self.systems(members), 0.0)?,
+        };
         let following = self.following(&reduced, (members, &pixels), N_SAMPLES)?;
         let spread = self.spread(&reduced, (members, &pixels), &following, slow);
         let gradient = self.spread_gradient(&reduced, (members, &pixels), &following)?;
@@ -63,7 +88,8 @@ impl JointProblem<'_> {
         for part in PARTS {
             let to_likeliest = -part * SHARE * reduced.factor.solve(&gradient);
             let expected_rise = -0.5 * part * SHARE * gradient.dot(&to_likeliest);
-            let (after, before) = self.stepped((members, &pixels), &session, &reduced.followed(to_likeliest));
+            let Some(step) = reduced.followed(to_likeliest) else { break };
+            let (after, before) = self.stepped((members, &pixels), &session, &step);
             let rise = after.cost - cost;
             tracing::debug!(part, rise, expected_rise, "step to the cameras whatever the motions");
             // Where the cost rises by far more than its curvature lets expect, the step leads out of where that holds.

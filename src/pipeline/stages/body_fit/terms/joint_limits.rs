@@ -46,7 +46,7 @@ impl FrameTerm for JointLimits {
     }
 
     fn add_to(&self, frame: &LinearisedFrame, system: &mut FramePanel, _: &mut Corner) {
-        for (group, angle) in self.costs(&frame.posed) {
+        for (group, angle) in self.costs(&frame.posed).filter(|(_, angle)| *angle != JointAngleCost::default()) {
             system.add_gradient(3 * group, &angle.gradient);
             system.add_own(3 * group, 3 * group, &angle.hessian);
         }

@@ -185,7 +185,7 @@ fn gradients_of_motion_terms_match_differences() {
 #[test]
 fn gradient_of_the_collision_term_matches_differences() {
     let fixture = Fixture::new();
-    let (model, capsules) = (&fixture.model, BodyCapsules::fitted(&fixture.model));
+    let (model, capsules) = (&fixture.model, BodyCapsules::of(&fixture.model));
     let betas = &fixture.state.betas;
     let overlaps = |pose: &Pose| {
         let beside = Pose { translation: pose.translation + Vector3::new(0.25, 0.0, 0.1), ..Pose::rest() };
