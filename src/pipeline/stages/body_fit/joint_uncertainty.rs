@@ -26,7 +26,7 @@ use super::person_motion::PersonFit;
 use super::pixel_residuals::{DetectedPixels, shared_error_variance, variance_per_residual};
 use super::single_camera::SingleCamera;
 use super::terms::camera_unknowns::CameraUnknowns;
-use super::terms::unknowns::{CameraColumns, MotionState, Shape, TRANSLATION_GROUP, Unknowns};
+use super::terms::unknowns::{CameraColumns, MotionState, Shape, Unknowns};
 use super::thinned_motion::rough_stride;
 use super::unseen_limbs::UnseenLimbs;
 use crate::body::anthropometry::N_BETAS;
@@ -191,7 +191,7 @@ fn joints_by_frame(unknowns: &Unknowns, skeleton: &PosedSkeleton) -> DMatrix<f64
     let mut by_frame = DMatrix::zeros(3 * N_JOINTS, 3 * unknowns.n_groups());
     for joint in 0..N_JOINTS {
         let mut rows = by_frame.fixed_rows_mut::<3>(3 * joint);
-        rows.fixed_columns_mut::<3>(3 * TRANSLATION_GROUP).copy_from(&Matrix3::identity());
+        rows.fixed_columns_mut::<3>(3 * unknowns.translation()).copy_from(&Matrix3::identity());
         for (group, ancestor) in unknowns.rotations() {
             rows.fixed_columns_mut::<3>(3 * group).copy_from(&joint_by_rotation(skeleton, joint, ancestor));
         }

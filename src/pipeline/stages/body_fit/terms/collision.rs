@@ -6,7 +6,7 @@
 use super::super::capsule_overlaps::CapsuleOverlap;
 use super::frame::{LinearisedFrame, PosedFrame};
 use super::term::FrameTerm;
-use super::unknowns::{TRANSLATION_GROUP, Unknowns};
+use super::unknowns::Unknowns;
 use crate::body::capsules::{BodyCapsules, N_CAPSULES, NearestBall};
 use crate::body::kinematics::PosedSkeleton;
 use crate::body::skeleton::chain_to_root;
@@ -48,11 +48,13 @@ pub(crate) struct CollisionTerm<'a> {
     collisions: Collisions<'a>,
     /// Group and joint of the free rotations.
     rotations: Vec<(usize, usize)>,
+    /// Group of the translation.
+    translation: usize,
 }
 
 impl<'a> CollisionTerm<'a> {
     pub(crate) fn new(collisions: Collisions<'a>, unknowns: &Unknowns) -> Self {
-        Self { collisions, rotations: unknowns.rotations().collect() }
+        Self { collisions, rotations: unknowns.rotations().collect(), translation: unknowns.translation() }
     }
 
     /// Derivatives of a distance over sigma, by group of three unknowns in ascending order.
@@ -67,7 +69,7 @@ impl<'a> CollisionTerm<'a> {
         let rotations = self.rotations.iter().filter(|(_, joint)| above.contains(joint));
         let by_rotation = rotations
             .map(|&(group, joint)| (group, capsules.distance_by_rotation(skeleton, posed, ball, joint) / sigma));
-        std::iter::once((TRANSLATION_GROUP, -ball.normal / sigma)).chain(by_rotation).collect()
+        by_rotation.chain([(self.translation, -ball.normal / sigma)]).collect()
     }
 }
 

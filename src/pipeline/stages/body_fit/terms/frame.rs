@@ -2,7 +2,7 @@
 
 use super::super::completed_joints::GapCompletion;
 use super::landmark_jacobian::{BorderJacobian, LinearLandmarks};
-use super::unknowns::{Border, TRANSLATION_GROUP, Unknowns};
+use super::unknowns::{Border, Unknowns};
 use crate::body::kinematics::{Pose, PosedSkeleton, joints_by_betas, landmark_by_rotation, landmark_position, posed};
 use crate::body::model::{Betas, BodyModel, ShapeDirections, ShapedBody};
 use crate::body::skeleton::N_JOINTS;
@@ -14,12 +14,20 @@ pub(crate) struct Landmarks<'a> {
     border: Border<'a>,
     /// By landmark: groups and joints, see [`Unknowns::moving`].
     moving: Vec<Vec<(usize, usize)>>,
+    /// Group of the translation.
+    translation: usize,
     completion: Option<&'a GapCompletion>,
 }
 
 impl<'a> Landmarks<'a> {
     pub(crate) fn new(model: &'a BodyModel, unknowns: &Unknowns<'a>, completion: Option<&'a GapCompletion>) -> Self {
-        Self { model, border: unknowns.border, moving: unknowns.moving(model), completion }
+        Self {
+            model,
+            border: unknowns.border,
+            moving: unknowns.moving(model),
+            translation: unknowns.translation(),
+            completion,
+        }
     }
 }
 
@@ -93,15 +101,14 @@ impl LinearisedFrame<'_> {
     }
 
     fn add(&self, landmark: usize, skeleton: &PosedSkeleton, moves: impl Fn(usize) -> bool, to: &mut LinearLandmarks) {
-        let PosedFrame { body, landmarks: Landmarks { model, border, moving, .. }, .. } = &self.posed;
+        let PosedFrame { body, landmarks: Landmarks { model, border, moving, translation, .. }, .. } = &self.posed;
         let by_rotation = |&(group, joint): &(usize, usize)| {
             (3 * group, landmark_by_rotation(model, body, skeleton, landmark, joint))
         };
-        let by_translation = std::iter::once((3 * TRANSLATION_GROUP, Matrix3::identity()));
         let moving = moving[landmark].iter().filter(|(_, joint)| moves(*joint));
         to.push(
             landmark_position(model, body, skeleton, landmark),
-            by_translation.chain(moving.map(by_rotation)),
+            moving.map(by_rotation).chain([(3 * translation, Matrix3::identity())]),
             BorderJacobian::new(border, model, landmark, skeleton, self.joint_directions.as_ref()),
         );
     }

@@ -28,7 +28,8 @@ impl JointLimits {
             rest: if with_prior.contains(&joint) { 0.0 } else { config.rest_weight },
             limit_width: config.limit_width_deg.to_radians(),
         };
-        let joints = unknowns.rotations().skip(1).map(|(group, joint)| (group, joint, weights(joint))).collect();
+        let limited = unknowns.rotations().filter(|(_, joint)| *joint != 0);
+        let joints = limited.map(|(group, joint)| (group, joint, weights(joint))).collect();
         Self { ranges: *ranges, joints }
     }
 

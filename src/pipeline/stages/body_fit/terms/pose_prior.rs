@@ -76,7 +76,11 @@ impl FrameTerm for PosePrior {
         for (i, &row) in groups.iter().enumerate() {
             system.add_gradient(3 * row, &found.gradient(i));
             for (&column, block) in groups.iter().zip(found.hessian(i, 0..i + 1)) {
-                system.add_own(3 * row, 3 * column, &block);
+                // Only the lower triangle is read.
+                match row >= column {
+                    true => system.add_own(3 * row, 3 * column, &block),
+                    false => system.add_own(3 * column, 3 * row, &block.transpose()),
+                }
             }
         }
     }

@@ -4,7 +4,7 @@ use super::super::config::BodyFitConfig;
 use super::landmark_jacobian::LinearLandmarks;
 use super::speed_scaling::{rotation_speeds, sigma_growth, speeds};
 use super::term::WindowTerm;
-use super::unknowns::{MotionState, TRANSLATION_GROUP, Unknowns};
+use super::unknowns::{MotionState, Unknowns};
 use super::window::{RobustAcceleration, Window};
 use crate::body::joint_ranges::JointRange;
 use crate::body::skeleton::N_JOINTS;
@@ -29,6 +29,8 @@ pub(crate) struct Smoothness {
     sigmas: Vec<AccelerationSigmas>,
     /// Group and joint of the free rotations.
     rotations: Vec<(usize, usize)>,
+    /// Group of the translation.
+    translation: usize,
     robust: RobustAcceleration,
     /// s.
     frame_interval: f64,
@@ -60,8 +62,8 @@ impl Smoothness {
             pelvis: config.pelvis_acceleration_sigma,
             rotations: ranges.each_ref().map(|range| range.acceleration * config.angular_acceleration_factor),
         };
-        let rotations = unknowns.rotations().collect();
-        Self { sigmas: vec![typical; n_frames], rotations, robust, frame_interval }
+        let (rotations, translation) = (unknowns.rotations().collect(), unknowns.translation());
+        Self { sigmas: vec![typical; n_frames], rotations, translation, robust, frame_interval }
     }
 
     /// The same with sigmas scaled by the speeds of `state`, of `joints` alone: the others keep the typical ones.
@@ -116,7 +118,7 @@ impl WindowTerm for Smoothness {
     fn add_to(&self, window: &Window<LinearLandmarks>, panels: &mut [FramePanel], _: &mut Corner) {
         let (residual, scale) = self.pelvis(window);
         let jacobians = SECOND_DIFFERENCE.map(|c| Matrix3::identity() * (c * scale));
-        self.robust.add_to(&residual, 3 * TRANSLATION_GROUP, &jacobians, panels);
+        self.robust.add_to(&residual, 3 * self.translation, &jacobians, panels);
         for &(group, joint) in &self.rotations {
             let [a, b, c] = window.poses.map(|pose| &pose.rotations[joint]);
             let change = linearized_rotation_change(a, b, c);

@@ -103,16 +103,18 @@ impl Border<'_> {
     }
 }
 
-/// Group of a frame's translation; a group has three unknowns. The joint `joints[i]` has group `i + 1`.
-pub(crate) const TRANSLATION_GROUP: usize = 0;
-
-/// First of the two hand joints; no keypoint shows their rotation, so that they are never unknowns.
-const FIRST_HAND: usize = 22;
+/// The joints that may be unknowns, limb after limb, each from its end to the trunk; hands are never unknowns, since no keypoint shows
+/// their rotation.
+///
+/// What frames have in common with those two frames later (slow errors, smoothness) lies within a limb and the trunk: in this order
+/// a fifth of it is zeros at the beginning of rows, which elimination leaves out.
+const ORDER: [usize; 22] = [10, 7, 4, 1, 11, 8, 5, 2, 15, 12, 20, 18, 16, 13, 21, 19, 17, 14, 9, 6, 3, 0];
 
 /// Which unknowns are free.
 #[derive(Debug, Clone)]
 pub(crate) struct Unknowns<'a> {
-    /// Joints that rotate, ascending; the root is the first. The others keep the rotation they started with.
+    /// Joints that rotate, in the order of their groups of three unknowns; the root is the last. The others keep the rotation they
+    /// started with.
     pub joints: Vec<usize>,
     pub border: Border<'a>,
 }
@@ -123,7 +125,7 @@ impl<'a> Unknowns<'a> {
         let mut is_free = [false; N_JOINTS];
         is_free[0] = true;
         joints.for_each(|joint| is_free[joint] = true);
-        Self { joints: (0..FIRST_HAND).filter(|&joint| is_free[joint]).collect(), border }
+        Self { joints: ORDER.into_iter().filter(|&joint| is_free[joint]).collect(), border }
     }
 
     /// Groups of a frame.
@@ -131,20 +133,28 @@ impl<'a> Unknowns<'a> {
         self.joints.len() + 1
     }
 
+    /// Group of the translation, the last one.
+    pub(crate) fn translation(&self) -> usize {
+        self.joints.len()
+    }
+
     /// Group of a joint's rotation; `None` where it is held.
     pub(crate) fn group(&self, joint: usize) -> Option<usize> {
-        self.joints.iter().position(|free| *free == joint).map(|i| i + 1)
+        self.joints.iter().position(|free| *free == joint)
     }
 
-    /// Groups and joints of the rotations, in ascending order.
+    /// Groups, ascending, and joints of the rotations.
     pub(crate) fn rotations(&self) -> impl Iterator<Item = (usize, usize)> {
-        self.joints.iter().enumerate().map(|(i, &joint)| (i + 1, joint))
+        self.joints.iter().copied().enumerate()
     }
 
-    /// By landmark the groups and joints of the rotations that move it.
+    /// By landmark the groups, ascending, and joints of the rotations that move it.
     pub(crate) fn moving(&self, model: &BodyModel) -> Vec<Vec<(usize, usize)>> {
-        let group = |joint: usize| self.group(joint).map(|group| (group, joint));
-        model.landmarks.iter().map(|landmark| moving_joints(landmark).into_iter().filter_map(group).collect()).collect()
+        let of_landmark = |landmark| {
+            let moves = moving_joints(landmark);
+            self.rotations().filter(|(_, joint)| moves.contains(joint)).collect()
+        };
+        model.landmarks.iter().map(of_landmark).collect()
     }
 
     /// The state after a step of the solver: betas added, right increments of the rotations. Bone and keypoint offsets
@@ -156,7 +166,7 @@ impl<'a> Unknowns<'a> {
         }
         for (pose, step) in moved.poses.iter_mut().zip(&step.frames) {
             let increment = |group: usize| step.fixed_rows::<3>(3 * group).into_owned();
-            pose.translation += increment(TRANSLATION_GROUP);
+            pose.translation += increment(self.translation());
             for (group, joint) in self.rotations() {
                 pose.rotations[joint] *= rotation::exp(&increment(group));
             }
