@@ -48,11 +48,10 @@ const HOEFFDING: f64 = 1.858;
 
 /// Finds the model with the highest score among those of random samples of `SIZE` data; `None` where all scores are zero.
 ///
-/// `known`: a model that others have to beat. `solve`: the models of a minimal sample (indices of data). `squared_distance`: of a datum to a model; infinite for
+/// `solve`: the models of a minimal sample (indices of data). `squared_distance`: of a datum to a model; infinite for
 /// inadmissible ones. `refit`: improves a model on all data.
 pub fn find_consensus<Model: Copy, const SIZE: usize>(
     problem: &ConsensusProblem<'_>,
-    known: Option<Model>,
     solve: impl Fn(&[usize; SIZE]) -> Vec<Model>,
     squared_distance: impl Fn(&Model, usize) -> f64,
     refit: impl Fn(&Model) -> Model,
@@ -62,11 +61,7 @@ pub fn find_consensus<Model: Copy, const SIZE: usize>(
     if data.order.len() < SIZE {
         return None;
     }
-    let score_of = |model: Model| {
-        let score = data.score_above(0.0, |datum| squared_distance(&model, datum))?;
-        Some(Consensus { model, score })
-    };
-    let mut best: Option<Consensus<Model>> = known.and_then(score_of);
+    let mut best: Option<Consensus<Model>> = None;
     let mut drawn = 0;
     while drawn < enough_samples(problem.iterations, SIZE, best.as_ref().map_or(0.0, |b| b.score) / data.total) {
         drawn += 1;
@@ -174,22 +169,12 @@ mod tests {
             .collect();
         let problem = ConsensusProblem { n_data: 200, weights: None, threshold: 0.1, iterations: 200, seed: 0 };
         let distance = |slope: &f64, i: usize| (points[i][1] - slope * points[i][0]).powi(2);
-        let found = find_consensus(&problem, None, |&[i]| vec![points[i][1] / points[i][0]], distance, |m| *m).unwrap();
+        let found = find_consensus(&problem, |&[i]| vec![points[i][1] / points[i][0]], distance, |m| *m).unwrap();
         assert!((found.model - 0.7).abs() < 1e-12);
         assert!(found.score >= 100.0 - 1e-9);
         let blind = vec![0.0; 200];
         let problem = ConsensusProblem { weights: Some(&blind), ..problem };
-        assert!(find_consensus(&problem, None, |&[_]| vec![0.7], distance, |m| *m).is_none());
-    }
-
-    /// What is known is kept where no sample is better, and given up for one that is.
-    #[test]
-    fn a_known_model_is_kept_until_a_better_one_is_found() {
-        let problem = ConsensusProblem { n_data: 10, weights: None, threshold: 0.1, iterations: 5, seed: 0 };
-        let distance = |slope: &f64, _: usize| (slope - 0.7).powi(2);
-        let from = |sampled: f64| find_consensus(&problem, Some(0.75), |&[_]| vec![sampled], distance, |m| *m).unwrap();
-        assert_eq!(from(0.78).model, 0.75);
-        assert_eq!(from(0.71).model, 0.71);
+        assert!(find_consensus(&problem, |&[_]| vec![0.7], distance, |m| *m).is_none());
     }
 
     #[test]

@@ -43,24 +43,11 @@ pub fn estimate_essential(
     iterations: usize,
     seed: u64,
 ) -> Option<EssentialEstimate> {
-    better_essential(None, pairs, weights, threshold, iterations, seed)
-}
-
-/// [`estimate_essential`] where a matrix is `known` that others have to beat.
-pub fn better_essential(
-    known: Option<&Matrix3<f64>>,
-    pairs: &[PointPair],
-    weights: Option<&[f64]>,
-    threshold: f64,
-    iterations: usize,
-    seed: u64,
-) -> Option<EssentialEstimate> {
     let problem = ConsensusProblem { n_data: pairs.len(), weights, threshold, iterations, seed };
     let lanes = PairLanes::new(pairs, |i| weight_of(weights, i));
     let refit = |pose: &Rigid, n: usize| refined(pose, &lanes, threshold, n);
     let found = find_consensus(
         &problem,
-        known.copied(),
         |sample| five_point(&sample.map(|i| pairs[i])),
         |essential, i| epipolar::sampson_squared(essential, &pairs[i].0, &pairs[i].1),
         // All four poses have this essential matrix: any of them serves.

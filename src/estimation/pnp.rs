@@ -44,7 +44,6 @@ pub fn estimate_pose(
     let problem = ConsensusProblem { n_data: points.len(), weights: None, threshold, iterations, seed };
     let found = find_consensus(
         &problem,
-        None,
         |sample| p3p(&sample.map(|i| points[i])),
         |pose, i| squared_reprojection(pose, &points[i]),
         |pose| refine_pose(pose, points, threshold, REFIT_ITERATIONS),

@@ -24,7 +24,7 @@ pub struct HypothesisConfig {
     pub max_points: usize,
     /// Epipolar tolerance of the fit, rad: 6 px at a focal length of 1,060 px. It grows with the errors on people nearer than 4 m.
     pub tolerance: f64,
-    /// Minimal samples of a rough fit, and of a thorough one, which goes on from it.
+    /// Minimal samples of a rough fit, and of a thorough one.
     pub iterations: [usize; 2],
     /// Number of pairs of tracklets with most support in rough fits, which are fitted thoroughly.
     pub n_singles: usize,
@@ -110,7 +110,7 @@ struct TrackletFit {
 impl TrackletFit {
     /// From few samples; `None` where no pose has any support.
     fn rough(pairs: Vec<[usize; 2]>, points: PointPairs, seed: u64, config: &HypothesisConfig) -> Option<Self> {
-        let fit = points.fit(None, config.tolerance, config.iterations[0], seed)?;
+        let fit = points.fit(config.tolerance, config.iterations[0], seed)?;
         Some(Self { pairs, points, seed, fit })
     }
 
@@ -123,9 +123,8 @@ impl TrackletFit {
 fn most_supported(mut fits: Vec<TrackletFit>, n: usize, config: &HypothesisConfig) -> Vec<TrackletFit> {
     sort_most_supported(&mut fits);
     fits.truncate(n);
-    let [rough, thorough] = config.iterations;
     for TrackletFit { points, seed, fit, .. } in &mut fits {
-        let thorough = points.fit(Some(fit), config.tolerance, thorough - rough, mix(*seed, rough as u64));
+        let thorough = points.fit(config.tolerance, config.iterations[1], *seed);
         *fit = thorough.filter(|thorough| thorough.support > fit.support).unwrap_or(*fit);
     }
     sort_most_supported(&mut fits);

@@ -2,7 +2,7 @@
 
 use super::normalized::NormalizedDetection;
 use super::pair_score::error_scale;
-use crate::estimation::essential::{EssentialEstimate, better_essential};
+use crate::estimation::essential::{EssentialEstimate, estimate_essential};
 use nalgebra::Vector2;
 
 /// Points of two views that a pose is fitted to.
@@ -42,15 +42,8 @@ impl PointPairs {
         self.error_scales / self.pairs.len().max(1) as f64
     }
 
-    /// A robust fit with this tolerance 4 m away, better than a `known` one; `None` where no pose has any support.
-    pub(super) fn fit(
-        &self,
-        known: Option<&EssentialEstimate>,
-        tolerance: f64,
-        iterations: usize,
-        seed: u64,
-    ) -> Option<EssentialEstimate> {
-        let known = known.map(|known| &known.essential);
-        better_essential(known, &self.pairs, None, tolerance * self.mean_error_scale(), iterations, seed)
+    /// A robust fit with this tolerance 4 m away; `None` where no pose has any support.
+    pub(super) fn fit(&self, tolerance: f64, iterations: usize, seed: u64) -> Option<EssentialEstimate> {
+        estimate_essential(&self.pairs, None, tolerance * self.mean_error_scale(), iterations, seed)
     }
 }
