@@ -58,8 +58,8 @@ pub struct BodyFitConfig {
     pub gap_limit_secs: f64,
     /// Frames solved at once; longer takes are cut into such windows, their shape taken from the best of them.
     pub window_frames: usize,
-    /// Frames beyond its own that a window includes on each side.
-    pub halo_frames: usize,
+    /// How far a window reaches beyond its own frames on each side, s.
+    pub halo_secs: f64,
     /// Whether the last fit takes the detector's errors as correlated in time.
     pub correlated_errors: bool,
     /// Rounds in which the cameras are adjusted together with the motions under these errors; 0: they are held.
@@ -143,7 +143,7 @@ impl Default for BodyFitConfig {
             gap_limit_secs: 0.5,
             // Some 70 MB a window; the factor of a frame is 0.12 MB.
             window_frames: 480,
-            halo_frames: 30,
+            halo_secs: 0.5,
             correlated_errors: true,
             camera_rounds: 0,
             known_covariance: None,

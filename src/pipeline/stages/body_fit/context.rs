@@ -37,6 +37,11 @@ impl<'a> FitContext<'a> {
         Self { model, config, first_config: config, frame_interval, up, progress, noise, systems }
     }
 
+    /// Frames beyond its own that a window includes on each side.
+    pub(super) fn halo_frames(&self) -> usize {
+        (self.config.halo_secs / self.frame_interval).round() as usize
+    }
+
     /// Whether the motion prior refines a first fit.
     pub(super) fn has_refinement(&self) -> bool {
         self.config.motion_prior && !self.first_config.motion_prior

@@ -83,7 +83,7 @@ fn fit_windows(
         false => fit_window(context, observations, &shaped, w, Shape::Held, of_others),
     };
     let fitted = windows.par_iter().map(fit).collect::<Result<_, Canceled>>()?;
-    Ok(joined(&windows, fitted, context.config.halo_frames))
+    Ok(joined(&windows, fitted, context.halo_frames()))
 }
 
 /// Fewest frames that are left by thinning; shorter windows are fitted whole.
@@ -174,7 +174,7 @@ fn fit_window(
     shape: Shape,
     passes: &[Pass],
 ) -> Result<FittedWindow, Canceled> {
-    let halo = context.config.halo_frames;
+    let halo = context.halo_frames();
     let frames = window.start.saturating_sub(halo)..(window.end + halo).min(start.poses.len());
     let observations = observations.slice(frames.clone());
     let state = start.of(&frames);

@@ -105,11 +105,10 @@ fn in_windows(
     share: f64,
     cameras: &[PosedCamera],
 ) -> Result<FittedMotion, Canceled> {
-    let config = problem.context.config;
-    let windows = windows(start.poses.len(), config.window_frames);
+    let halo = problem.context.halo_frames();
+    let windows = windows(start.poses.len(), problem.context.config.window_frames);
     let fit = |window: &Range<usize>| {
-        let frames =
-            window.start.saturating_sub(config.halo_frames)..(window.end + config.halo_frames).min(start.poses.len());
+        let frames = window.start.saturating_sub(halo)..(window.end + halo).min(start.poses.len());
         let mut members = vec![member(problem, observations, start, frames.clone(), share)];
         let cost_before = problem.cost(&members[0], cameras);
         let iterations = problem.minimised(&mut members, &mut cameras.to_vec())?;
@@ -118,5 +117,5 @@ fn in_windows(
         Ok(FittedWindow { whole, frames })
     };
     let fits = windows.iter().map(fit).collect::<Result<_, Canceled>>()?;
-    Ok(joined(&windows, fits, config.halo_frames))
+    Ok(joined(&windows, fits, halo))
 }

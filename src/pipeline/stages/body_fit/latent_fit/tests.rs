@@ -80,7 +80,7 @@ fn disturbed(mut state: MotionState) -> MotionState {
 }
 
 fn with_problem<T>(test: impl FnOnce(&LatentProblem, &BodyModel) -> T) -> T {
-    let config = BodyFitConfig { window_frames: 20, halo_frames: 8, ..BodyFitConfig::default() };
+    let config = BodyFitConfig { window_frames: 20, halo_secs: 8.0 / 30.0, ..BodyFitConfig::default() };
     let (model, progress) = (default_body(), Progress::silent());
     let (noise, up) = (None, Vector3::y());
     let context = FitContext {
