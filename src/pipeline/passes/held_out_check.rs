@@ -15,6 +15,9 @@ const BLOCK: usize = 15;
 /// Errors beyond this are wrong detections and count as this much, px.
 const CLIP_PX: f64 = 25.0;
 
+/// Most keyframes on which cameras are judged, as many as they are estimated from.
+const JUDGED_KEYFRAMES: usize = 120;
+
 /// Mean reprojection error (px) of cameras that were estimated from every other block of frames, on the other blocks.
 ///
 /// `None` where a half of the frames is not enough. Held cameras are the same on both halves.
@@ -31,7 +34,7 @@ pub fn heldout_px(
         let step = steps.begin("adjusting cameras to every other block of frames");
         let cameras = match freedom {
             CameraFreedom::Held => calibration.cameras.clone(),
-            CameraFreedom::Adjusted => adjusted(capture, calibration, Effort::ROUND, estimated, &step)?.cameras,
+            CameraFreedom::Adjusted => adjusted(capture, calibration, Effort::TRIAL, estimated, &step)?.cameras,
         };
         let step = steps.begin("judging cameras on the other blocks");
         let Some(error) = error_px(capture, calibration, &cameras, judged, &step)? else { return Ok(None) };
@@ -48,8 +51,7 @@ fn error_px(
     allowed: FrameFilter,
     progress: &Progress,
 ) -> Result<Option<f64>, Canceled> {
-    let max_keyframes = Effort::FINAL.max_keyframes;
-    let mut keyframes = select_keyframes(capture.session, calibration, cameras, max_keyframes, allowed);
+    let mut keyframes = select_keyframes(capture.session, calibration, cameras, JUDGED_KEYFRAMES, allowed);
     for keyframe in &mut keyframes {
         let mut n_views = vec![0u8; keyframe.points.len()];
         keyframe.observations.iter().for_each(|o| n_views[o.keypoint] += 1);
