@@ -20,6 +20,7 @@ pub(super) const EXCHANGED_NATS: f64 = 2.3;
 /// Distances, m, of a person's detection with exchanged sides from where the person is expected: beyond the detectors' errors,
 /// within the width of shoulders, which are farthest from their counterparts.
 const EXCHANGED_M: Range<f64> = 0.06..MAX_EXCHANGED_M;
+/// The end of that range.
 pub(super) const MAX_EXCHANGED_M: f64 = 0.6;
 
 /// Least [`Seen::sidedness`] of a detection that has two sides to exchange: eight pairs a twelfth of a body apart.
