@@ -8,7 +8,7 @@
 //! | | [`unknown_lenses`](passes::unknown_lenses) | camera initialisation | `estimate`, or no K; 8 candidates |
 //! | | | keyframe selection, bundle adjustment with focal lengths, association | 3 candidates, then up to 4 rounds |
 //! | 3 | [`cameras`](passes::cameras) | camera initialisation | `extrinsics: estimate`; once |
-//! | | | keyframe selection, bundle adjustment, association | up to 3 arrangements |
+//! | | | keyframe selection, bundle adjustment, association | up to 3 arrangements; association once for those that end alike |
 //! | | | camera registration, keyframes, bundle adjustment, association | 1 or 2 rounds |
 //! | | | association under the given cameras | `extrinsics: fixed` or `refine`; once |
 //! | | | final bundle adjustment, association | `denoise: false`, not `fixed`; once |
