@@ -80,10 +80,7 @@ pub fn initial_cameras(capture: &Capture, progress: &Progress) -> Result<Vec<Opt
 pub fn first_arrangement(capture: &Capture, progress: &Progress) -> Result<Calibration, Canceled> {
     let tracklets = capture.tracklets();
     let (rigs, _) = initial_rigs(capture, &tracklets, progress)?;
-    match rigs.first() {
-        Some(rig) => trial(capture, &tracklets, rig, progress),
-        None => under_cameras(capture, vec![None; capture.views.len()], progress),
-    }
+    best_trial(capture, &tracklets, rigs.get(..1).unwrap_or_default(), progress)
 }
 
 /// Estimates the cameras without a start.
@@ -163,18 +160,6 @@ fn largest_turn(some: &[Option<Rigid>], others: &[Option<Rigid>]) -> f64 {
     };
     let pairs = both.iter().enumerate().flat_map(|(i, one)| both[..i].iter().map(move |other| (one, other)));
     pairs.map(turn).fold(0.0, f64::max)
-}
-
-/// One arrangement: tracklets grouped under it, a first adjustment, and the association of all detections.
-fn trial(
-    capture: &Capture,
-    tracklets: &[Vec<Tracklet>],
-    rig: &Rig,
-    progress: &Progress,
-) -> Result<Calibration, Canceled> {
-    let mut steps = progress.steps([3.0, 1.0]);
-    let adjusted = adjusted_arrangement(capture, tracklets, rig, &steps.begin("adjusting cameras and points"))?;
-    with_association(capture, adjusted, &steps.begin("associating detections"))
 }
 
 /// One arrangement after a first adjustment to tracklets that are grouped under it.

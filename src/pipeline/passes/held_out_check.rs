@@ -15,9 +15,6 @@ const BLOCK: usize = 15;
 /// Errors beyond this are wrong detections and count as this much, px.
 const CLIP_PX: f64 = 25.0;
 
-/// Most keyframes on which cameras are judged, as many as they are estimated from.
-const JUDGED_KEYFRAMES: usize = 120;
-
 /// Mean reprojection error (px) of cameras that were estimated from every other block of frames, on the other blocks.
 ///
 /// `None` where a half of the frames is not enough. Held cameras are the same on both halves.
@@ -51,7 +48,8 @@ fn error_px(
     allowed: FrameFilter,
     progress: &Progress,
 ) -> Result<Option<f64>, Canceled> {
-    let mut keyframes = select_keyframes(capture.session, calibration, cameras, JUDGED_KEYFRAMES, allowed);
+    let max_keyframes = Effort::TRIAL.max_keyframes;
+    let mut keyframes = select_keyframes(capture.session, calibration, cameras, max_keyframes, allowed);
     for keyframe in &mut keyframes {
         let mut n_views = vec![0u8; keyframe.points.len()];
         keyframe.observations.iter().for_each(|o| n_views[o.keypoint] += 1);

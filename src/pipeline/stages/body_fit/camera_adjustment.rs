@@ -141,13 +141,12 @@ fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Refined, Cance
         }
         noise = measured_noise(context, members);
     }
+    let free = problem(context, &table, &noise, Some(&priors));
     if priors.focal.is_none() {
-        let last = problem(context, &table, &noise, Some(&priors));
-        return Ok((last.minimised_and_marginalised(members, &STOPPING, slow(&noise))?, None));
+        return Ok((free.minimised_and_marginalised(members, &STOPPING, slow(&noise))?, None));
     }
     // Whether lenses are as given is decided where they are free: held to the given lengths, the noise that is measured there
     // has absorbed their errors.
-    let free = problem(context, &table, &noise, Some(&priors));
     free.minimised(members, Vec::new(), &STOPPING)?;
     let Some((mut focal, likeliest)) = refined_focal(&free, members, slow(&noise)) else {
         return Ok((free.marginalised(members, slow(&noise)), None));

@@ -6,6 +6,7 @@ use crate::body::BodyModel;
 use crate::optim::block_banded::SystemPool;
 use crate::progress::Progress;
 use nalgebra::Vector3;
+use std::ops::Range;
 
 /// Model, settings and progress of the fits of a session.
 #[derive(Clone, Copy)]
@@ -40,6 +41,12 @@ impl<'a> FitContext<'a> {
     /// Frames beyond its own that a window includes on each side.
     pub(super) fn halo_frames(&self) -> usize {
         (self.config.halo_secs / self.frame_interval).round() as usize
+    }
+
+    /// A window of `n_frames` frames and its halo.
+    pub(super) fn with_halo(&self, window: &Range<usize>, n_frames: usize) -> Range<usize> {
+        let halo = self.halo_frames();
+        window.start.saturating_sub(halo)..(window.end + halo).min(n_frames)
     }
 
     /// Whether the motion prior refines a first fit.

@@ -76,8 +76,7 @@ fn window_uncertainty(
     cameras: Option<&CameraCovariance>,
     window: &Range<usize>,
 ) -> Option<MotionUncertainty> {
-    let halo = context.halo_frames();
-    let frames = window.start.saturating_sub(halo)..(window.end + halo).min(person.valid.len());
+    let frames = context.with_halo(window, person.valid.len());
     let stride = rough_stride(context.frame_interval);
     let observations = person.observations.thinned(frames.clone(), stride);
     let whole = &person.fitted.state;

@@ -174,8 +174,7 @@ fn fit_window(
     shape: Shape,
     passes: &[Pass],
 ) -> Result<FittedWindow, Canceled> {
-    let halo = context.halo_frames();
-    let frames = window.start.saturating_sub(halo)..(window.end + halo).min(start.poses.len());
+    let frames = context.with_halo(window, start.poses.len());
     let observations = observations.slice(frames.clone());
     let state = start.of(&frames);
     let has_pixels = observations.pixels.iter().any(|frame| !frame.is_empty());

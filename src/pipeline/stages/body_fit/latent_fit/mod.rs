@@ -105,10 +105,10 @@ fn in_windows(
     share: f64,
     cameras: &[PosedCamera],
 ) -> Result<FittedMotion, Canceled> {
-    let halo = problem.context.halo_frames();
-    let windows = windows(start.poses.len(), problem.context.config.window_frames);
+    let context = problem.context;
+    let windows = windows(start.poses.len(), context.config.window_frames);
     let fit = |window: &Range<usize>| {
-        let frames = window.start.saturating_sub(halo)..(window.end + halo).min(start.poses.len());
+        let frames = context.with_halo(window, start.poses.len());
         let mut members = vec![member(problem, observations, start, frames.clone(), share)];
         let cost_before = problem.cost(&members[0], cameras);
         let iterations = problem.minimised(&mut members, &mut cameras.to_vec())?;
@@ -117,5 +117,5 @@ fn in_windows(
         Ok(FittedWindow { whole, frames })
     };
     let fits = windows.iter().map(fit).collect::<Result<_, Canceled>>()?;
-    Ok(joined(&windows, fits, halo))
+    Ok(joined(&windows, fits, context.halo_frames()))
 }
