@@ -268,14 +268,10 @@ pub struct Eliminated {
 }
 
 impl Eliminated {
-    /// The step of all frames, given the border's; `None` where it is not finite.
-    pub fn step(&self, border: DVector<f64>) -> Option<BandedStep> {
-        self.factor.substituted(border, 1.0)
-    }
-
-    /// The step of the border, and of frames that follow it: those at their minimum stay at it. `None` where it is not finite.
-    pub fn following(&self, border: DVector<f64>) -> Option<BandedStep> {
-        self.factor.substituted(border, 0.0)
+    /// The step of all frames, given the border's, with a share of what their own gradient asks for: with all of it they go to
+    /// their minimum, with none those that are at it stay there as the border moves. `None` where it is not finite.
+    pub fn step(&self, border: DVector<f64>, gradient_share: f64) -> Option<BandedStep> {
+        self.factor.substituted(border, gradient_share)
     }
 
     /// The system that was used up, for the next one.

@@ -197,10 +197,16 @@ fn inverse_blocks_and_responses_equal_the_dense_ones() {
         for (t, response) in eliminated.responses(&columns).iter().enumerate() {
             assert!((response - expected.rows(n * t, n)).norm() < 1e-8 * expected.norm(), "frame {t} of {n_frames}");
         }
-        let step = eliminated.following(columns.column(1).into_owned()).unwrap();
+        let border = columns.column(1).into_owned();
+        let step = eliminated.step(border.clone(), 0.0).unwrap();
         for (t, frame) in step.frames.iter().enumerate() {
             let expected = expected.column(1);
             assert!((frame - expected.rows(n * t, n)).norm() < 1e-8 * expected.norm(), "frame {t} of {n_frames}");
+        }
+        let [whole, half] = [1.0, 0.5].map(|share| eliminated.step(border.clone(), share).unwrap());
+        for (t, frame) in half.frames.iter().enumerate() {
+            let expected = (&whole.frames[t] + &step.frames[t]) * 0.5;
+            assert!((frame - &expected).norm() < 1e-8 * expected.norm(), "frame {t} of {n_frames}");
         }
     }
 }

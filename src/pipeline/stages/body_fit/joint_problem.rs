@@ -7,8 +7,12 @@
 mod camera_covariance;
 mod marginal_step;
 mod proportions;
+mod reduced;
+mod shorter_steps;
 
 pub(super) use proportions::{ProportionEvidence, Role};
+pub(super) use reduced::Reduced;
+use reduced::Step;
 
 use super::camera_priors::CameraPriors;
 use super::context::FitContext;
@@ -26,9 +30,9 @@ use super::terms::whitened_pixels::WhitenedPixels;
 use crate::body::BodyModel;
 use crate::body::bone_offsets::{BoneOffsets, with_bones};
 use crate::body::detector_offsets::OffsetTable;
-use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, Eliminated, damped};
+use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, Eliminated};
 use crate::progress::Canceled;
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Vector3};
+use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -72,7 +76,20 @@ pub(super) struct Stopping {
 /// The unknowns of the session at the minimum, or as near to it as the steps have led.
 pub(super) struct Minimum {
     pub session: SessionState,
-    pub cost: f64,
+    costs: Costs,
+}
+
+/// What a state costs.
+struct Costs {
+    of_people: Vec<f64>,
+    /// Of the session's unknowns alone.
+    of_session: f64,
+}
+
+impl Costs {
+    fn total(&self) -> f64 {
+        self.of_people.iter().sum::<f64>() + self.of_session
+    }
 }
 
 /// Weight of the prior of the betas. Where bones, offsets or cameras are unknowns too, betas only have to explain what these leave:
@@ -106,8 +123,8 @@ impl JointProblem<'_> {
         let cameras = members.first().map_or_else(Vec::new, |member| member.observations.cameras.clone());
         let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
         let session = SessionState { offsets, cameras };
-        let cost = self.cost(members, &pixels, &session);
-        let mut minimum = Minimum { session, cost };
+        let costs = self.costs(members, &pixels, &session);
+        let mut minimum = Minimum { session, costs };
         let (mut damping, mut systems) = (DAMPING, self.systems(members));
         for _ in 0..stopping.max_iterations {
             self.context.progress.check()?;
@@ -117,10 +134,15 @@ impl JointProblem<'_> {
                 systems = reduced.into_systems();
                 break;
             };
-            let is_near = reduced.rms_sigmas() < stopping.min_sigmas;
-            let (next, before) = self.stepped((members, &pixels), &minimum.session, &step);
-            if next.cost < minimum.cost {
-                let is_done = is_near || minimum.cost - next.cost < stopping.min_decrease;
+            let sigmas = reduced.rms_sigmas();
+            let (mut next, before) = self.stepped((members, &pixels), &minimum.session, &step);
+            if next.costs.total() >= minimum.costs.total() {
+                self.shorten((members, &pixels), (&reduced, &step), (&minimum, &before), &mut next);
+            }
+            let decrease = minimum.costs.total() - next.costs.total();
+            tracing::trace!(decrease, sigmas, damping, "step of the joint problem");
+            if decrease > 0.0 {
+                let is_done = sigmas < stopping.min_sigmas || decrease < stopping.min_decrease;
                 minimum = next;
                 damping *= 0.1;
                 if is_done {
@@ -175,15 +197,18 @@ impl JointProblem<'_> {
         .problem()
     }
 
-    fn cost(&self, members: &[Member], pixels: &[DetectedPixels], session: &SessionState) -> f64 {
+    fn costs(&self, members: &[Member], pixels: &[DetectedPixels], session: &SessionState) -> Costs {
         let model = self.table.applied(self.context.model, &session.offsets);
-        let person = |(member, pixels): (&Member, &DetectedPixels)| {
-            let own = with_bones(&model, &member.bones);
-            self.problem(&own, member, pixels).cost(&member.state) + self.bone_prior.cost(&flat(&member.bones))
-        };
-        let people: Vec<f64> = members.par_iter().zip(pixels).map(person).collect();
+        let person = |(member, pixels)| self.cost_of(&model, member, pixels);
+        let of_people = members.par_iter().zip(pixels).map(person).collect();
         let of_cameras = self.cameras.map_or(0.0, |priors| priors.cost(&session.cameras));
-        people.iter().sum::<f64>() + self.bias_prior.cost(&flat(&session.offsets)) + of_cameras
+        Costs { of_people, of_session: self.bias_prior.cost(&flat(&session.offsets)) + of_cameras }
+    }
+
+    /// Of one person; `model`: with the session's offsets.
+    fn cost_of(&self, model: &BodyModel, member: &Member, pixels: &DetectedPixels) -> f64 {
+        let own = with_bones(model, &member.bones);
+        self.problem(&own, member, pixels).cost(&member.state) + self.bone_prior.cost(&flat(&member.bones))
     }
 
     /// The persons' systems with their motions eliminated, in the memory of `systems`.
@@ -233,19 +258,26 @@ impl JointProblem<'_> {
         step: &Step,
     ) -> (Minimum, Vec<MotionAndBones>) {
         let session = session.moved(&step.session, self.camera_columns(session.cameras.len()));
-        let moved = self.moved((members, pixels), step);
+        let moved = |((member, pixels), step): ((&Member, &DetectedPixels), &BandedStep)| {
+            self.moved(member, pixels, (&member.state, &member.bones), step)
+        };
+        let moved = members.par_iter().zip(pixels).zip(&step.motions).map(moved).collect();
         let before = replace_all(members, moved, &session.cameras);
-        let cost = self.cost(members, pixels, &session);
-        (Minimum { session, cost }, before)
+        let costs = self.costs(members, pixels, &session);
+        (Minimum { session, costs }, before)
     }
 
-    fn moved(&self, (members, pixels): (&[Member], &[DetectedPixels]), step: &Step) -> Vec<MotionAndBones> {
-        let moved = |((member, pixels), step): ((&Member, &DetectedPixels), &BandedStep)| {
-            let first = self.border_of(member).bones().start;
-            let bone = |k: usize| member.bones[k] + step.border.fixed_rows::<3>(first + 3 * k);
-            (self.problem(self.context.model, member, pixels).moved(&member.state, step), std::array::from_fn(bone))
-        };
-        members.par_iter().zip(pixels).zip(&step.motions).map(moved).collect()
+    /// A person's motion and skeleton after a step from these.
+    fn moved(
+        &self,
+        member: &Member,
+        pixels: &DetectedPixels,
+        (state, bones): (&MotionState, &BoneOffsets),
+        step: &BandedStep,
+    ) -> MotionAndBones {
+        let first = self.border_of(member).bones().start;
+        let bone = |k: usize| bones[k] + step.border.fixed_rows::<3>(first + 3 * k);
+        (self.problem(self.context.model, member, pixels).moved(state, step), std::array::from_fn(bone))
     }
 }
 
@@ -272,103 +304,6 @@ type MotionAndBones = (MotionState, BoneOffsets);
 /// Gives every member another motion, skeleton and cameras; returns the previous motions and skeletons.
 fn replace_all(members: &mut [Member], by: Vec<MotionAndBones>, cameras: &[PosedCamera]) -> Vec<MotionAndBones> {
     members.iter_mut().zip(by).map(|(member, by)| member.replaced(by, cameras)).collect()
-}
-
-/// A step of all unknowns.
-pub(super) struct Step {
-    /// The session's: offsets, then cameras.
-    pub session: DVector<f64>,
-    pub motions: Vec<BandedStep>,
-}
-
-/// All persons eliminated: `hessian * free = right` with the session's unknowns `basis * free`; per person
-/// `[betas, bones] = rest - by_session * session`.
-pub(super) struct Reduced {
-    people: Vec<Eliminated>,
-    own_parts: Vec<(DMatrix<f64>, DVector<f64>)>,
-    /// Directions in which the session's unknowns move; `None`: in all.
-    basis: Option<DMatrix<f64>>,
-    hessian: DMatrix<f64>,
-    /// Of the Hessian without damping.
-    factor: Cholesky<f64, Dyn>,
-    right: DVector<f64>,
-}
-
-impl Reduced {
-    /// Adds up the systems of persons, each with its first `n_own` unknowns eliminated, and that of the session alone; the
-    /// session's unknowns move in the directions of `basis`.
-    pub(super) fn new(
-        people: Vec<Eliminated>,
-        n_own: usize,
-        session: Corner,
-        basis: Option<DMatrix<f64>>,
-        damping: f64,
-    ) -> Option<Self> {
-        let Corner { mut hessian, gradient } = session;
-        let n = gradient.len();
-        let mut right = -gradient;
-        let mut own_parts = Vec::with_capacity(people.len());
-        for person in &people {
-            let (own, across) =
-                (person.corner.view((0, 0), (n_own, n_own)), person.corner.view((0, n_own), (n_own, n)));
-            let own = damped(&own.into_owned(), damping).cholesky()?;
-            let (by_session, rest) = (own.solve(&across), own.solve(&person.right.rows(0, n_own)));
-            hessian += person.corner.view((n_own, n_own), (n, n)) - across.tr_mul(&by_session);
-            right += person.right.rows(n_own, n) - across.tr_mul(&rest);
-            own_parts.push((by_session, rest));
-        }
-        if let Some(basis) = &basis {
-            hessian = basis.tr_mul(&(hessian * basis));
-            right = basis.tr_mul(&right);
-        }
-        let factor = hessian.clone().cholesky()?;
-        Some(Self { people, own_parts, basis, hessian, factor, right })
-    }
-
-    /// The persons' systems, for the next ones.
-    fn into_systems(self) -> Vec<BlockBanded> {
-        self.people.into_iter().map(Eliminated::into_system).collect()
-    }
-
-    /// The step under a damping; `None` where the damped system is not positive definite.
-    pub(super) fn solved(&self, damping: f64) -> Option<Step> {
-        let session = self.session_step(damped(&self.hessian, damping).cholesky()?.solve(&self.right));
-        let motion = |(person, (by_session, rest)): (&Eliminated, &(DMatrix<f64>, DVector<f64>))| {
-            person.step(joined(&(rest - by_session * &session), &session))
-        };
-        let motions = self.people.par_iter().zip(&self.own_parts).map(motion).collect::<Option<_>>()?;
-        Some(Step { session, motions })
-    }
-
-    /// The session moved in its free directions, and motions that follow it: those at their minimum stay at it.
-    fn followed(&self, free: DVector<f64>) -> Option<Step> {
-        let session = self.session_step(free);
-        let motion = |(person, (by_session, _)): (&Eliminated, &(DMatrix<f64>, DVector<f64>))| {
-            person.following(joined(&-(by_session * &session), &session))
-        };
-        let motions = self.people.par_iter().zip(&self.own_parts).map(motion).collect::<Option<_>>()?;
-        Some(Step { session, motions })
-    }
-
-    /// The session's unknowns by its free directions.
-    fn session_step(&self, free: DVector<f64>) -> DVector<f64> {
-        match &self.basis {
-            Some(basis) => basis * free,
-            None => free,
-        }
-    }
-
-    /// How far the session's unknowns are from the minimum, in their standard deviations, root mean square: by the step without
-    /// damping. A damped one is small where it is held back, too.
-    fn rms_sigmas(&self) -> f64 {
-        let free = self.factor.solve(&self.right);
-        (free.dot(&self.right) / free.len().max(1) as f64).max(0.0).sqrt()
-    }
-}
-
-/// A step of the border: a person's own unknowns, then the session's.
-fn joined(own: &DVector<f64>, session: &DVector<f64>) -> DVector<f64> {
-    DVector::from_iterator(own.len() + session.len(), own.iter().chain(session).copied())
 }
 
 /// The numbers of offsets, three each.

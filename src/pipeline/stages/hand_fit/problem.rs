@@ -135,7 +135,7 @@ impl LeastSquares for HandProblem<'_> {
         };
         let mut moved = state.clone();
         for (frames, system) in moved.frames.iter_mut().zip(&systems) {
-            let step = system.step(border.clone())?;
+            let step = system.step(border.clone(), 1.0)?;
             frames.iter_mut().zip(&step.frames).for_each(|(frame, step)| *frame += step);
         }
         moved.log_size += border.iter().sum::<f64>();

@@ -84,13 +84,13 @@ impl JointProblem<'_> {
         let following = self.following(&reduced, (members, &pixels), N_SAMPLES)?;
         let spread = self.spread(&reduced, (members, &pixels), &following, slow);
         let gradient = self.spread_gradient(&reduced, (members, &pixels), &following)?;
-        let cost = self.cost(members, &pixels, &session);
+        let cost = self.costs(members, &pixels, &session).total();
         for part in PARTS {
             let to_likeliest = -part * SHARE * reduced.factor.solve(&gradient);
             let expected_rise = -0.5 * part * SHARE * gradient.dot(&to_likeliest);
             let Some(step) = reduced.followed(to_likeliest) else { break };
             let (after, before) = self.stepped((members, &pixels), &session, &step);
-            let rise = after.cost - cost;
+            let rise = after.costs.total() - cost;
             tracing::debug!(part, rise, expected_rise, "step to the cameras whatever the motions");
             // Where the cost rises by far more than its curvature lets expect, the step leads out of where that holds.
             if rise <= MAX_RISE * expected_rise + ROUNDING {
