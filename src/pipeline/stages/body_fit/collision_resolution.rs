@@ -155,13 +155,11 @@ mod tests {
     use super::super::config::BodyFitConfig;
     use super::super::minimisation::FittedMotion;
     use super::super::observations::Observations;
+    use super::super::test_fixtures::Surroundings;
     use super::*;
-    use crate::body::default_body;
     use crate::body::joint_ranges::natural_pose;
     use crate::body::kinematics::Pose;
     use crate::body::model::Betas;
-    use crate::optim::block_banded::SystemPool;
-    use crate::progress::Progress;
     use crate::session::PersonId;
     use nalgebra::Vector3;
     use rand::SeedableRng;
@@ -179,19 +177,18 @@ mod tests {
     /// Both stand too near to each other; without observations nothing holds either in place.
     #[test]
     fn overlapping_persons_both_move_apart() {
-        let model = default_body();
         let rotations = natural_pose(&mut ChaCha8Rng::seed_from_u64(0), 0.0).rotations;
         let at = |x: f64| Pose { rotations, translation: Vector3::x() * x };
         let make = || [person_fit(3, 10, vec![at(0.0); 30]), person_fit(5, 10, vec![at(0.45); 30])];
-        let (config, progress, systems) = (BodyFitConfig::default(), Progress::silent(), SystemPool::default());
-        let context = FitContext::plain(&model, &config, &progress, &systems);
+        let surroundings = Surroundings::new();
+        let context = surroundings.context();
         let mut people = make();
         let kept = resolve_collisions(&context, &mut people, false, 100).unwrap();
         let before = kept.deepest.clone().unwrap();
         assert!(before.depth_mm > 30.0 && before.frame == 110 && before.people == [3, 5], "{before:?}");
         assert!(kept.deepest_before.is_none() && people[0].fitted == make()[0].fitted);
 
-        let rejecting = BodyFitConfig { max_resolution_cost: [f64::NEG_INFINITY; 2], ..config.clone() };
+        let rejecting = BodyFitConfig { max_resolution_cost: [f64::NEG_INFINITY; 2], ..BodyFitConfig::default() };
         let rejected =
             resolve_collisions(&FitContext { config: &rejecting, ..context }, &mut people, true, 100).unwrap();
         assert!(rejected.deepest.as_ref() == Some(&before) && people[1].fitted == make()[1].fitted);

@@ -25,19 +25,7 @@ pub(super) struct FitContext<'a> {
     pub systems: &'a SystemPool,
 }
 
-impl<'a> FitContext<'a> {
-    /// At 30 frames a second in a world with y up, with one set of settings.
-    #[cfg(test)]
-    pub(super) fn plain(
-        model: &'a BodyModel,
-        config: &'a BodyFitConfig,
-        progress: &'a Progress,
-        systems: &'a SystemPool,
-    ) -> Self {
-        let (frame_interval, up, noise) = (1.0 / 30.0, Vector3::y(), None);
-        Self { model, config, first_config: config, frame_interval, up, progress, noise, systems }
-    }
-
+impl FitContext<'_> {
     /// Frames beyond its own that a window includes on each side.
     pub(super) fn halo_frames(&self) -> usize {
         (self.config.halo_secs / self.frame_interval).round() as usize

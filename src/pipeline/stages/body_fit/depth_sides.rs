@@ -173,16 +173,12 @@ fn fitted(limb: &BodyLimb, skeleton: &PosedSkeleton, rotations: &[Matrix3<f64>])
 
 #[cfg(test)]
 mod tests {
-    use super::super::config::BodyFitConfig;
-    use super::super::observations::{ErrorShape, PointObservation, PosedCamera};
+    use super::super::observations::PointObservation;
+    use super::super::test_fixtures::{Surroundings, camera_in_front, seen};
     use super::*;
-    use crate::body::default_body;
     use crate::body::kinematics::{Pose, landmark_position};
     use crate::body::model::Betas;
-    use crate::geometry::{Intrinsics, Rigid, rotation};
-    use crate::optim::block_banded::SystemPool;
-    use crate::progress::Progress;
-    use nalgebra::Vector2;
+    use crate::geometry::rotation;
 
     const N_FRAMES: usize = 40;
 
@@ -198,36 +194,23 @@ mod tests {
     /// In the middle of the take the camera alone shows the arm, and the fit has it mirrored in depth.
     #[test]
     fn arms_that_a_fit_has_mirrored_return_to_their_side() {
-        let model = default_body();
-        let body = model.shaped(&Betas::zeros());
-        let camera = PosedCamera {
-            intrinsics: Intrinsics::PLAIN,
-            camera_from_world: Rigid {
-                rotation: rotation::exp(&(Vector3::x() * std::f64::consts::PI)),
-                translation: Vector3::new(0.0, 1.2, 4.0),
-            },
-        };
+        let surroundings = Surroundings::new();
+        let (context, model) = (surroundings.context(), &surroundings.model);
+        let (body, camera) = (model.shaped(&Betas::zeros()), camera_in_front(0.0));
         let landmarks = ["left_elbow", "left_wrist"].map(|name| model.landmark_index(name).unwrap());
         let stretch = 5..35;
-        let seen = |t: usize| -> (Vec<PixelObservation>, Vec<PointObservation>) {
+        let observed = |t: usize| -> (Vec<PixelObservation>, Vec<PointObservation>) {
             let skeleton = posed(&body, &swing(t));
             let of_landmark = |landmark: usize| {
-                let position = landmark_position(&model, &body, &skeleton, landmark);
+                let position = landmark_position(model, &body, &skeleton, landmark);
                 let x = camera.camera_from_world.transform(&position);
-                let pixel = PixelObservation {
-                    landmark,
-                    camera: 0,
-                    pixel: Vector2::zeros(),
-                    scale_px: 1.0,
-                    error: ErrorShape::Round,
-                };
                 // The path of a single ray, its depth off.
                 let position = camera.camera_from_world.inverse().transform(&(x * 1.1));
-                (pixel, PointObservation { landmark, position })
+                (seen(landmark, 0), PointObservation { landmark, position })
             };
             landmarks.map(of_landmark).into_iter().unzip()
         };
-        let (pixels, points) = (0..N_FRAMES).map(seen).unzip();
+        let (pixels, points) = (0..N_FRAMES).map(observed).unzip();
         let observations = Observations { cameras: vec![camera], points, pixels };
         // Mirrored in the plane that faces the camera: turns about the upward axis change their sense.
         let mirrored = |t: usize| {
@@ -239,8 +222,6 @@ mod tests {
         let vague = RotationGaussian { mean: Matrix3::identity(), precision: Matrix3::zeros() };
         let guided = |t: usize| if stretch.contains(&t) { vec![(16, vague), (18, vague)] } else { vec![] };
         let completion = GapCompletion { hidden: vec![vec![]; N_FRAMES], guided: (0..N_FRAMES).map(guided).collect() };
-        let (config, progress, systems) = (BodyFitConfig::default(), Progress::silent(), SystemPool::default());
-        let context = FitContext::plain(&model, &config, &progress, &systems);
         let error = |state: &MotionState| {
             let off = |t: usize| {
                 let wrists = [&state.poses[t], &swing(t)].map(|pose| posed(&body, pose).joints[20]);

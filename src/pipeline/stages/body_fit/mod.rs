@@ -57,6 +57,8 @@ mod single_camera;
 mod stated_covariances;
 mod terms;
 #[cfg(test)]
+mod test_fixtures;
+#[cfg(test)]
 mod tests;
 #[cfg(test)]
 mod tests_simulated;

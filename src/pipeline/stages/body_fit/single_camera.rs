@@ -120,25 +120,20 @@ impl<'a> SingleCamera<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::observations::{ErrorShape, PixelObservation};
+    use super::super::observations::PixelObservation;
+    use super::super::test_fixtures::seen;
     use super::*;
     use crate::body::default_body;
     use crate::body::kinematics::{Pose, posed};
     use crate::body::model::Betas;
     use crate::geometry::{Intrinsics, Rigid, rotation};
-    use nalgebra::{Matrix3, Vector2, Vector3};
+    use nalgebra::{Matrix3, Vector3};
 
     /// Forty frames at 20 a second; the second camera shows the left arm in the first twenty, and nothing after.
     #[test]
     fn bones_along_the_ray_may_be_mirrored_beside_one_camera() {
         let model = default_body();
-        let pixel = |name: &str, camera: usize| PixelObservation {
-            landmark: model.landmark_index(name).unwrap(),
-            camera,
-            pixel: Vector2::zeros(),
-            scale_px: 1.0,
-            error: ErrorShape::Round,
-        };
+        let pixel = |name: &str, camera: usize| seen(model.landmark_index(name).unwrap(), camera);
         let arm = ["left_elbow", "left_wrist"];
         let frame = |t: usize| -> Vec<PixelObservation> {
             let of_second = arm.iter().filter(|_| t < 20).map(|name| pixel(name, 1));

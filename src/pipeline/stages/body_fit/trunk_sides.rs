@@ -87,16 +87,11 @@ fn turn_about(pose: &mut Pose, body: &ShapedBody, turn: &Matrix3<f64>, center: &
 
 #[cfg(test)]
 mod tests {
-    use super::super::config::BodyFitConfig;
-    use super::super::observations::{ErrorShape, PixelObservation, PointObservation, PosedCamera};
+    use super::super::observations::{PixelObservation, PointObservation};
+    use super::super::test_fixtures::{Surroundings, camera_in_front, seen};
     use super::*;
-    use crate::body::default_body;
     use crate::body::model::Betas;
     use crate::body::skeleton::KeypointConvention;
-    use crate::geometry::Intrinsics;
-    use crate::optim::block_banded::SystemPool;
-    use crate::progress::Progress;
-    use nalgebra::Vector2;
 
     const N_FRAMES: usize = 40;
 
@@ -111,48 +106,31 @@ mod tests {
     /// From frame 5 to 35 one of two cameras shows the person, and the fit has the turn to the other side.
     #[test]
     fn trunks_that_a_fit_turns_to_the_wrong_side_return() {
-        let model = default_body();
+        let surroundings = Surroundings::new();
+        let frame_interval = 0.1;
+        let (context, model) = (FitContext { frame_interval, ..surroundings.context() }, &surroundings.model);
         let body = model.shaped(&Betas::zeros());
-        let camera = PosedCamera {
-            intrinsics: Intrinsics::PLAIN,
-            camera_from_world: Rigid {
-                rotation: rotation::exp(&(Vector3::x() * std::f64::consts::PI)),
-                translation: Vector3::new(0.0, 1.2, 4.0),
-            },
-        };
         let landmarks: Vec<usize> = model.landmarks_of(KeypointConvention::Coco17).into_iter().flatten().collect();
         let is_alone = |t: usize| (5..35).contains(&t);
         let pixels = |t: usize| -> Vec<PixelObservation> {
-            let of_camera = |camera: usize| {
-                let pixel = move |&landmark: &usize| PixelObservation {
-                    landmark,
-                    camera,
-                    pixel: Vector2::zeros(),
-                    scale_px: 1.0,
-                    error: ErrorShape::Round,
-                };
-                landmarks.iter().map(pixel)
-            };
+            let of_camera = |camera: usize| landmarks.iter().map(move |landmark| seen(*landmark, camera));
             (0..if is_alone(t) { 1 } else { 2 }).flat_map(of_camera).collect()
         };
         let points = |t: usize| -> Vec<PointObservation> {
             let skeleton = posed(&body, &turned(t, 1.0));
             let at = |&landmark: &usize| PointObservation {
                 landmark,
-                position: landmark_position(&model, &body, &skeleton, landmark),
+                position: landmark_position(model, &body, &skeleton, landmark),
             };
             landmarks.iter().map(at).collect()
         };
         let observations = Observations {
-            cameras: vec![camera; 2],
+            cameras: vec![camera_in_front(0.0); 2],
             points: (0..N_FRAMES).map(points).collect(),
             pixels: (0..N_FRAMES).map(pixels).collect(),
         };
-        let frame_interval = 0.1;
-        let alone = SingleCamera::new(&model, &observations, frame_interval);
+        let alone = SingleCamera::new(model, &observations, frame_interval);
         assert_eq!(alone.stretches(), [(0, 8..32)]);
-        let (config, progress, systems) = (BodyFitConfig::default(), Progress::silent(), SystemPool::default());
-        let context = FitContext { frame_interval, ..FitContext::plain(&model, &config, &progress, &systems) };
         let sense = |t: usize| if (8..32).contains(&t) { -1.0 } else { 1.0 };
         let poses = (0..N_FRAMES).map(|t| turned(t, sense(t))).collect();
         let found =

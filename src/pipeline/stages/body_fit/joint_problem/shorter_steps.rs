@@ -45,30 +45,19 @@ impl JointProblem<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::config::BodyFitConfig;
-    use super::super::super::observations::{ErrorShape, PixelObservation};
+    use super::super::super::observations::PixelObservation;
+    use super::super::super::test_fixtures::{Surroundings, camera_in_front, seen};
     use super::*;
-    use crate::body::default_body;
     use crate::body::kinematics::{Pose, landmark_position, posed};
     use crate::body::model::Betas;
     use crate::body::skeleton::KeypointConvention;
-    use crate::geometry::{Intrinsics, Rigid, rotation};
-    use crate::optim::block_banded::SystemPool;
-    use crate::progress::Progress;
+    use crate::geometry::rotation;
 
     const N_FRAMES: usize = 12;
 
-    /// Cameras 4 m in front of the person and to both sides.
+    /// In front of the person and to both sides.
     fn cameras() -> Vec<PosedCamera> {
-        let upside_down = rotation::exp(&(Vector3::x() * std::f64::consts::PI));
-        let camera = |turn: f64| PosedCamera {
-            intrinsics: Intrinsics::PLAIN,
-            camera_from_world: Rigid {
-                rotation: upside_down * rotation::exp(&(Vector3::y() * turn)),
-                translation: Vector3::new(0.0, 1.0, 4.0),
-            },
-        };
-        [-1.0, 0.0, 1.0].map(camera).to_vec()
+        [-1.0, 0.0, 1.0].map(camera_in_front).to_vec()
     }
 
     /// A person who stands with the left forearm ahead, seen without errors. `start`: where the fit begins.
@@ -80,7 +69,7 @@ mod tests {
             let position = landmark_position(model, &body, &skeleton, landmark);
             cameras().into_iter().enumerate().map(move |(camera, posed)| {
                 let pixel = posed.intrinsics.pixel_from_camera(&posed.camera_from_world.transform(&position)).unwrap();
-                PixelObservation { landmark, camera, pixel, scale_px: 400.0, error: ErrorShape::Round }
+                PixelObservation { pixel, scale_px: 400.0, ..seen(landmark, camera) }
             })
         };
         let frame: Vec<PixelObservation> = landmarks.flat_map(pixels_of).collect();
@@ -97,11 +86,11 @@ mod tests {
         pose
     }
 
-    /// Turns the left upper arm about itself and bends its elbow.
-    fn turned(turn: f64, bend: f64) -> Pose {
+    /// The left upper arm turned round about itself, its elbow bent to the other side.
+    fn turned() -> Pose {
         let mut pose = standing();
-        pose.rotations[16] *= rotation::exp(&(Vector3::x() * turn));
-        pose.rotations[18] = rotation::exp(&(Vector3::y() * bend));
+        pose.rotations[16] *= rotation::exp(&(Vector3::x() * 1.5));
+        pose.rotations[18] = rotation::exp(&(Vector3::y() * 0.5));
         pose
     }
 
@@ -113,10 +102,9 @@ mod tests {
     /// first one keeps the whole step.
     #[test]
     fn a_limb_that_turned_round_held_up_all_others() {
-        let model = default_body();
-        let (config, progress, systems) = (BodyFitConfig::default(), Progress::silent(), SystemPool::default());
-        let context = FitContext::plain(&model, &config, &progress, &systems);
-        let (table, noise) = (OffsetTable::empty(&model), PathNoise::white(model.landmarks.len(), 0.01));
+        let surroundings = Surroundings::new();
+        let (context, model) = (surroundings.context(), &surroundings.model);
+        let (table, noise) = (OffsetTable::empty(model), PathNoise::white(model.landmarks.len(), 0.01));
         let problem = JointProblem {
             context: &context,
             table: &table,
@@ -126,14 +114,14 @@ mod tests {
             cameras: None,
         };
         let session = || SessionState { offsets: Vec::new(), cameras: cameras() };
-        let mut members = [member(&model, beside()), member(&model, beside())];
+        let mut members = [member(model, beside()), member(model, beside())];
         let pixels = members.each_ref().map(|member| problem.pixels(member));
         let from = Minimum { session: session(), costs: problem.costs(&members, &pixels, &session()) };
         let reduced = problem.reduced((&members, &pixels), &session(), problem.systems(&members), DAMPING).unwrap();
         let step = reduced.solved(DAMPING).unwrap();
         let (_, before) = problem.stepped((&mut members, &pixels), &session(), &step);
         let whole = members.each_ref().map(|member| member.state.clone());
-        members[1].state.poses.fill(turned(1.5, 0.5));
+        members[1].state.poses.fill(turned());
         let mut to = Minimum { session: session(), costs: problem.costs(&members, &pixels, &session()) };
         assert!(to.costs.of_people[0] < from.costs.of_people[0] && to.costs.of_people[1] > from.costs.of_people[1]);
         problem.shorten((&mut members, &pixels), (&reduced, &step), (&from, &before), &mut to);

@@ -1,15 +1,14 @@
 //! The fit of latent motions against differences and synthetic truth.
 
 use super::*;
-use crate::body::default_body;
 use crate::body::kinematics::{Pose, landmark_position, posed};
 use crate::body::model::{Betas, BodyModel};
 use crate::geometry::{Intrinsics, rotation};
 use crate::motion_prior::MotionPrior;
-use crate::optim::block_banded::{BandedStep, SystemPool};
+use crate::optim::block_banded::BandedStep;
 use crate::pipeline::stages::body_fit::BodyFitConfig;
-use crate::pipeline::stages::body_fit::observations::{ErrorShape, PixelObservation};
-use crate::progress::Progress;
+use crate::pipeline::stages::body_fit::observations::PixelObservation;
+use crate::pipeline::stages::body_fit::test_fixtures::{Surroundings, seen};
 use nalgebra::{DVector, Matrix3, Vector2, Vector3};
 
 const DT: f64 = 1.0 / 25.0;
@@ -57,10 +56,10 @@ fn observations(model: &BodyModel, truth: &MotionState) -> Observations {
         for landmark in 0..model.landmarks.len() {
             let position = landmark_position(model, &body, &skeleton, landmark);
             for (camera, posed) in cameras.iter().enumerate() {
-                let seen = posed.intrinsics.pixel_from_camera(&posed.camera_from_world.transform(&position)).unwrap();
+                let exact = posed.intrinsics.pixel_from_camera(&posed.camera_from_world.transform(&position)).unwrap();
                 let error = Vector2::new((7 * t + landmark) as f64, (3 * landmark + camera) as f64).map(f64::sin);
-                let pixel = seen + error * 2.0;
-                pixels.push(PixelObservation { landmark, camera, pixel, scale_px: 300.0, error: ErrorShape::Round });
+                let pixel = exact + error * 2.0;
+                pixels.push(PixelObservation { pixel, scale_px: 300.0, ..seen(landmark, camera) });
             }
         }
         pixels
@@ -80,21 +79,11 @@ fn disturbed(mut state: MotionState) -> MotionState {
 }
 
 fn with_problem<T>(test: impl FnOnce(&LatentProblem, &BodyModel) -> T) -> T {
-    let config = BodyFitConfig { window_frames: 20, halo_secs: 8.0 / 30.0, ..BodyFitConfig::default() };
-    let (model, progress) = (default_body(), Progress::silent());
-    let (noise, up) = (None, Vector3::y());
-    let context = FitContext {
-        model: &model,
-        config: &config,
-        first_config: &config,
-        frame_interval: DT,
-        up,
-        progress: &progress,
-        noise,
-        systems: &SystemPool::default(),
-    };
-    let priors = CameraPriors::of_poses(&config.known_cameras);
-    test(&problem(&context, true, Some(&priors)), &model)
+    let mut surroundings = Surroundings::new();
+    surroundings.config = BodyFitConfig { window_frames: 20, halo_secs: 8.0 / 30.0, ..BodyFitConfig::default() };
+    let context = FitContext { frame_interval: DT, ..surroundings.context() };
+    let priors = CameraPriors::of_poses(&context.config.known_cameras);
+    test(&problem(&context, true, Some(&priors)), context.model)
 }
 
 /// The decoder computes in single precision: steps are long, and a hundredth of the largest derivative is allowed.

@@ -2,11 +2,11 @@
 
 use super::super::capsule_overlaps::CapsuleBody;
 use super::super::completed_joints::GapCompletion;
-use super::super::config::BodyFitConfig;
 use super::super::context::FitContext;
 use super::super::motion_problem::MotionProblem;
 use super::super::objective::Objective;
 use super::super::observations::{ErrorShape, Observations, PixelObservation, PointObservation, PosedCamera};
+use super::super::test_fixtures::Surroundings;
 use super::border_priors::{BoneLengthPrior, KeypointBiasPrior, ShapePrior};
 use super::collision::Collisions;
 use super::data::DataSource;
@@ -14,14 +14,12 @@ use super::term::BorderTerm;
 use super::unknowns::{Border, CameraColumns, MotionState, Shape};
 use crate::body::bone_offsets::{BoneOffsets, with_bones};
 use crate::body::capsules::BodyCapsules;
-use crate::body::default_body;
 use crate::body::detector_offsets::OffsetTable;
 use crate::body::kinematics::Pose;
 use crate::body::model::{Betas, BodyModel};
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::{Intrinsics, Rigid, rotation};
-use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, Fill, SystemPool};
-use crate::progress::Progress;
+use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, Fill};
 use crate::residuals::derivative_check::assert_gradient;
 use crate::residuals::rotation_likelihood::RotationGaussian;
 use nalgebra::{DVector, Matrix3, Vector2, Vector3};
@@ -36,18 +34,16 @@ pub(super) fn wave(i: usize) -> f64 {
 
 /// Five frames of one person with points and pixels of all landmarks.
 pub(super) struct Fixture {
-    pub model: BodyModel,
+    pub surroundings: Surroundings,
     pub table: OffsetTable,
     pub observations: Observations,
     pub state: MotionState,
-    pub config: BodyFitConfig,
-    progress: Progress,
-    systems: SystemPool,
 }
 
 impl Fixture {
     pub(super) fn new() -> Self {
-        let model = default_body();
+        let surroundings = Surroundings::new();
+        let model = &surroundings.model;
         let pose = |t: usize| Pose {
             rotations: std::array::from_fn(|j| rotation::exp(&Vector3::from_fn(|a, _| wave(7 * t + 3 * j + a)))),
             translation: Vector3::new(wave(t), wave(t + 5), wave(t + 9)),
@@ -77,9 +73,8 @@ impl Fixture {
             pixels: (0..N_FRAMES).map(|t| landmarks.clone().map(|l| pixel(t, l)).collect()).collect(),
         };
         let state = MotionState { betas: Betas::from_fn(|k, _| wave(k)), poses: (0..N_FRAMES).map(pose).collect() };
-        let table = OffsetTable::new(&model, KeypointConvention::Body25);
-        let (config, progress, systems) = (BodyFitConfig::default(), Progress::silent(), SystemPool::default());
-        Self { model, table, observations, state, config, progress, systems }
+        let table = OffsetTable::new(model, KeypointConvention::Body25);
+        Self { surroundings, table, observations, state }
     }
 
     fn border(&self) -> Border<'_> {
@@ -94,22 +89,12 @@ impl Fixture {
         let bias =
             (0..self.table.kinds.len()).map(|k| offset(self.border().keypoint_bias().start, k)).collect::<Vec<_>>();
         let bones: BoneOffsets = std::array::from_fn(|k| offset(self.border().bones().start, k));
-        with_bones(&self.table.applied(&self.model, &bias), &bones)
+        with_bones(&self.table.applied(&self.surroundings.model, &bias), &bones)
     }
 
     pub(super) fn objective<'a>(&'a self, model: &'a BodyModel, data: DataSource<'a>, shape: Shape) -> Objective<'a> {
-        let (config, progress) = (&self.config, &self.progress);
-        let context = FitContext {
-            model,
-            config,
-            first_config: config,
-            frame_interval: 1.0 / 25.0,
-            up: Vector3::y(),
-            progress,
-            noise: None,
-            systems: &self.systems,
-        };
-        Objective::new(&context, config, &self.observations, data, shape)
+        let context = FitContext { model, frame_interval: 1.0 / 25.0, ..self.surroundings.context() };
+        Objective::new(&context, context.config, &self.observations, data, shape)
     }
 
     /// The problem over all unknowns on `model`, with all terms or the one at index `only`.
@@ -185,7 +170,7 @@ fn gradients_of_motion_terms_match_differences() {
 #[test]
 fn gradient_of_the_collision_term_matches_differences() {
     let fixture = Fixture::new();
-    let (model, capsules) = (&fixture.model, BodyCapsules::of(&fixture.model));
+    let (model, capsules) = (&fixture.surroundings.model, BodyCapsules::of(&fixture.surroundings.model));
     let betas = &fixture.state.betas;
     let overlaps = |pose: &Pose| {
         let beside = Pose { translation: pose.translation + Vector3::new(0.25, 0.0, 0.1), ..Pose::rest() };
@@ -217,7 +202,7 @@ fn gradient_of_completed_joints_matches_differences() {
     let guided = (0..N_FRAMES).map(guided_in).collect();
     let gaps = GapCompletion { hidden: (0..N_FRAMES).map(of_frame).collect(), guided };
     let problem = || {
-        let objective = fixture.objective(&fixture.model, DataSource::Points { sigma: 0.5 }, Shape::Held);
+        let objective = fixture.objective(&fixture.surroundings.model, DataSource::Points { sigma: 0.5 }, Shape::Held);
         Objective { completion: Some(&gaps), ..objective }.problem()
     };
     // Observed landmarks; at the end the likely poses of the other joints, and the completed ones.

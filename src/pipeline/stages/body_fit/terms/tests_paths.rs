@@ -23,7 +23,7 @@ const PATHS_ALONE: Option<usize> = Some(usize::MAX);
 const ROBUST_SCALE: f64 = 4.0;
 
 fn whitened(fixture: &Fixture, observations: &Observations) -> WhitenedPixels {
-    let n = fixture.model.landmarks.len();
+    let n = fixture.surroundings.model.landmarks.len();
     let process = NoiseProcess { autocorrelation: 0.8, decay: 0.9 };
     let noise = PathNoise { processes: vec![process; n], shares: vec![0.2; n], weights: vec![1.0; n] };
     WhitenedPixels::new(observations, &noise, ROBUST_SCALE)
@@ -89,10 +89,10 @@ fn scores_of_channels_add_up_to_the_gradient() {
     let fixture = Fixture::new();
     let observations = two_views(&fixture);
     let pixels = whitened(&fixture, &observations);
-    let body = fixture.model.shaped(&fixture.state.betas);
+    let body = fixture.surroundings.model.shaped(&fixture.state.betas);
     let at = |pose| {
         let skeleton = posed(&body, pose);
-        let position = |&landmark: &usize| landmark_position(&fixture.model, &body, &skeleton, landmark);
+        let position = |&landmark: &usize| landmark_position(&fixture.surroundings.model, &body, &skeleton, landmark);
         pixels.landmarks.iter().map(position).collect::<Vec<_>>()
     };
     let positions: Vec<Vec<Vector3<f64>>> = fixture.state.poses.iter().map(at).collect();
@@ -124,18 +124,18 @@ fn scores_of_channels_add_up_to_the_gradient() {
 fn one_step_from_nearby_removes_the_cost_of_paths() {
     let fixture = Fixture::new();
     let mut observations = two_views(&fixture);
-    let body = fixture.model.shaped(&fixture.state.betas);
+    let body = fixture.surroundings.model.shaped(&fixture.state.betas);
     for (pixels, pose) in observations.pixels.iter_mut().zip(&fixture.state.poses) {
         let skeleton = posed(&body, pose);
         for pixel in pixels {
             let camera = &observations.cameras[pixel.camera];
-            let position = landmark_position(&fixture.model, &body, &skeleton, pixel.landmark);
+            let position = landmark_position(&fixture.surroundings.model, &body, &skeleton, pixel.landmark);
             let in_camera = camera.camera_from_world.transform(&position);
             pixel.pixel = camera.intrinsics.pixel_from_camera(&in_camera).unwrap();
         }
     }
     let pixels = whitened(&fixture, &observations);
-    let objective = fixture.objective(&fixture.model, DataSource::Paths(&pixels), Shape::Held);
+    let objective = fixture.objective(&fixture.surroundings.model, DataSource::Paths(&pixels), Shape::Held);
     let mut problem = Objective { observations: &observations, ..objective }.problem();
     keep(&mut problem, PATHS_ALONE);
     assert!(problem.cost(&fixture.state) < 1e-12);
