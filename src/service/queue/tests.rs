@@ -9,7 +9,7 @@ use super::job::{JobError, JobProgress, Submitter};
 use super::outcome::ClaimOutcome;
 use super::recovery::{Recovered, recover};
 use super::*;
-use crate::service::store::sessions::{self, SessionSummary};
+use crate::service::store::sessions;
 use crate::service::store::{Store, StoreError, Tenant, tenants, test_support};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode};
 use sqlx::{ConnectOptions, Connection};
@@ -26,18 +26,7 @@ impl TestQueue {
     async fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let queue = Queue::new(test_support::open(folder.path()).await);
-        let summary = SessionSummary {
-            name: "take".to_owned(),
-            sha256: "00".to_owned(),
-            cameras: 0,
-            frames: 3,
-            people_max: 1,
-            keypoint_convention: "coco17".to_owned(),
-            format: "native".to_owned(),
-            warnings: Vec::new(),
-            bytes: 5,
-            camera_facts: Vec::new(),
-        };
+        let summary = test_support::summary();
         std::fs::write(queue.store.folders.session("s"), b"bytes").unwrap();
         assert!(sessions::add(&queue.store, &tenant(), "s", &summary, i64::MAX).await.unwrap().is_new);
         Self { folder, queue }

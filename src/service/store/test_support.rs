@@ -1,6 +1,7 @@
 //! Stores of the tests: in the temporary folder, or, where `WANDLESS_TEST_POSTGRES` names a server, in a database of their own there.
 
 use super::database::Store;
+use super::sessions::SessionSummary;
 use std::path::Path;
 
 /// Variable with the URL of a PostgreSQL server whose user may create databases.
@@ -13,6 +14,22 @@ pub(crate) async fn open(folder: &Path) -> Store {
     panic!("{VARIABLE} is {server}, but the tests were built without the feature `scale`");
     #[cfg(feature = "scale")]
     open_postgres(&server, folder).await
+}
+
+/// A small session.
+pub(crate) fn summary() -> SessionSummary {
+    SessionSummary {
+        name: "take".to_owned(),
+        sha256: "00".to_owned(),
+        cameras: 0,
+        frames: 3,
+        people_max: 1,
+        keypoint_convention: "coco17".to_owned(),
+        format: "native".to_owned(),
+        warnings: Vec::new(),
+        bytes: 5,
+        camera_facts: Vec::new(),
+    }
 }
 
 /// Whether the test checks what only SQLite has; says so where it is left out.

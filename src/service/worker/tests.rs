@@ -3,7 +3,7 @@
 use super::super::queue::job::Submitter;
 use super::super::queue::{NewJob, QueueLimits};
 use super::super::settings::JobSettings;
-use super::super::store::sessions::{self, SessionSummary};
+use super::super::store::sessions;
 use super::super::store::{Tenant, test_support};
 use super::*;
 use crate::service::store::artifacts::Artifact;
@@ -33,18 +33,7 @@ impl Claimed {
         let store = test_support::open(folder.path()).await;
         let queue = Queue::new(store.clone());
         let tenant = Tenant::default_tenant();
-        let summary = SessionSummary {
-            name: "take".to_owned(),
-            sha256: "00".to_owned(),
-            cameras: 0,
-            frames: 3,
-            people_max: 1,
-            keypoint_convention: "coco17".to_owned(),
-            format: "native".to_owned(),
-            warnings: Vec::new(),
-            bytes: 5,
-            camera_facts: Vec::new(),
-        };
+        let summary = test_support::summary();
         sessions::add(&store, &tenant, "s", &summary, i64::MAX).await.unwrap();
         let new = NewJob {
             tenant,

@@ -155,18 +155,7 @@ async fn the_sweep_removes_old_objects_without_a_row_only() {
     for id in ["s", "stray"] {
         place.upload(&remote, id, id.as_bytes()).await;
     }
-    let summary = sessions::SessionSummary {
-        name: "take".to_owned(),
-        sha256: "00".to_owned(),
-        cameras: 0,
-        frames: 3,
-        people_max: 1,
-        keypoint_convention: "coco17".to_owned(),
-        format: "native".to_owned(),
-        warnings: Vec::new(),
-        bytes: 5,
-        camera_facts: Vec::new(),
-    };
+    let summary = test_support::summary();
     sessions::add(&store, &Tenant::default_tenant(), "s", &summary, i64::MAX).await.unwrap();
     let files = write_result(&store.folders.result("j", 1));
     remote.take_result("j", 1, &files).await.unwrap();
