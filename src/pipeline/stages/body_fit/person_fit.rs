@@ -117,6 +117,10 @@ impl Pass {
     }
 }
 
+/// Most steps of the last pass before gaps are completed again: with four, joints come out the same to 0.1 % on 131 captures, hidden ones
+/// as well; with two, single captures differ by 3 %.
+const STEPS_FROM_ROUGH: usize = 3;
+
 /// The fit of a window and its halo.
 #[derive(Clone)]
 pub(super) struct FittedWindow {
@@ -261,8 +265,8 @@ fn fit_pass(
         return minimised_within(budget, None, start, system);
     };
     // Which only has to be good enough to start from: with all steps hidden joints come no closer.
-    let half = Budget { max_iterations: budget.max_iterations / 2, ..budget };
-    let fitted = minimised_within(half, Some(&rough), rough.applied_to(start), system)?;
+    let few = Budget { max_iterations: STEPS_FROM_ROUGH, ..budget };
+    let fitted = minimised_within(few, Some(&rough), rough.applied_to(start), system)?;
     let good = completed(&fitted.state, Purpose::FromGood);
     let start = match &good {
         Some(gaps) => on_cheapest_sides(context, observations, gaps, gaps.applied_to(fitted.state)),
