@@ -143,3 +143,30 @@ fn suspicion(solved: &Solved, changes: &[Change], common: Change) -> Suspicion {
     let radial_change = (!is_undistorted).then_some(common.value);
     Suspicion { radial_change, ..Suspicion::new(Code::LensDistortion, cameras, evidence, remedy) }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn alike(n: usize, value: f64, sigma: f64) -> Vec<Change> {
+        (0..n).map(|view| Change { view, value, sigma }).collect()
+    }
+
+    /// Eight right lenses, 1.4 standard errors off each; their mean was 4 of its own.
+    #[test]
+    fn errors_that_all_cameras_share_were_a_distortion() {
+        assert!(common_change(&alike(8, -0.16, 0.114)).is_none());
+        let found = common_change(&alike(8, -0.3, 0.04)).unwrap();
+        assert!((found.value + 0.3).abs() < 1e-12 && (found.sigma - 0.04).abs() < 1e-12, "{found:?}");
+        assert!(common_change(&alike(1, -0.3, 0.04)).is_none(), "of one lens nothing is common");
+    }
+
+    /// One of five right lenses, 3.03 standard errors off.
+    #[test]
+    fn the_largest_error_of_many_lenses_was_a_distortion() {
+        let change = Change { view: 0, value: -0.1707, sigma: 0.0563 };
+        assert!(change.counts(certain_of_any(1)) && !change.counts(certain_of_any(5)));
+        assert!(Change { value: -0.3, ..change }.counts(certain_of_any(5)));
+        assert!(!Change { value: 0.09, sigma: 0.001, ..change }.counts(CERTAIN), "small, however certain");
+    }
+}
