@@ -11,6 +11,7 @@ use crate::geometry::{Intrinsics, PixelCovariance, Rigid};
 use crate::pipeline::calibration::TrackedPeople;
 use crate::session::{Detection, JointTrajectory, PersonTrack, Session};
 use nalgebra::{Matrix2, Vector2, Vector3};
+use rayon::prelude::*;
 use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -166,13 +167,13 @@ pub(super) fn gather_observations(people: &TrackedPeople, track: &PersonTrack, m
     let keypoints: Vec<(usize, usize)> =
         landmarks.iter().enumerate().filter_map(|(k, landmark)| Some((k, (*landmark)?))).chain(rigid.clone()).collect();
     let pixels: Vec<Vec<PixelObservation>> =
-        (0..n_frames).map(|t| at_frame(t).pixels(&keypoints, &camera_of_view)).collect();
+        (0..n_frames).into_par_iter().map(|t| at_frame(t).pixels(&keypoints, &camera_of_view)).collect();
     let points = |t: usize| {
         let mut points = at_frame(t).points(&landmarks);
         points.extend(rigid.iter().filter_map(|(_, landmark)| triangulated(*landmark, &cameras, &pixels[t])));
         points
     };
-    let points = (0..n_frames).map(points).collect();
+    let points = (0..n_frames).into_par_iter().map(points).collect();
     Observations { points, cameras, pixels }.without_unseen_points(1.0 / session.fps)
 }
 
