@@ -8,7 +8,7 @@
 //! | file | content |
 //! |---|---|
 //! | `fit`, `config`, `context` | the steps over all persons, also for statures alone, and what they read |
-//! | `observations` | triangulated points and detected pixels of one person |
+//! | `observations`, `gathering` | triangulated points and detected pixels of one person; how they are gathered |
 //! | `initial_motion`, `monocular` | the closed-form start; points of a single view lifted to 3D |
 //! | `person_fit`, `local_fit`, `pixel_residuals` | passes over one person's windows; runs fitted again; the detector's accuracy |
 //! | `terms`, `objective`, `motion_problem`, `minimisation` | the terms, their list, its sum, the damped Gauss-Newton steps |
@@ -36,6 +36,7 @@ mod fit;
 mod focal_prior;
 mod gap_completion;
 mod gaps;
+mod gathering;
 mod initial_motion;
 mod joint_problem;
 mod joint_uncertainty;

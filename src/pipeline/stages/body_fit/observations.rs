@@ -1,17 +1,8 @@
 //! One person's observations by frame: triangulated points and detected pixels of the body's landmarks.
 
 use super::gaps::{MIN_GAP, gaps};
-use crate::body::BodyModel;
-use crate::body::detector_noise::DetectorNoise;
-use crate::body::detector_profile::DETECTOR;
-use crate::body::hand::rigid_points;
-use crate::estimation::triangulation::triangulate_reweighted;
-use crate::geometry::triangulation::PointObservation as RayToPoint;
 use crate::geometry::{Intrinsics, PixelCovariance, Rigid};
-use crate::pipeline::calibration::TrackedPeople;
-use crate::session::{Detection, JointTrajectory, PersonTrack, Session};
 use nalgebra::{Matrix2, Vector2, Vector3};
-use rayon::prelude::*;
 use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -34,7 +25,7 @@ pub(super) struct PixelObservation {
     pub camera: usize,
     /// As detected, px.
     pub pixel: Vector2<f64>,
-    /// Apparent size of the person times the detector's noise factor at this confidence, px; the detector's error is
+    /// Apparent size of the whole person times the detector's noise factor at this confidence, px; the detector's error is
     /// proportional to it.
     pub scale_px: f64,
     pub error: ErrorShape,
@@ -108,7 +99,7 @@ impl Observations {
 
     /// The same without the points of a landmark that no view shows for [`MIN_GAP`] or longer while views show others: the smooth
     /// path of a single point knows nothing of the body, and limbs that follow it turn about themselves.
-    fn without_unseen_points(mut self, frame_interval: f64) -> Self {
+    pub(super) fn without_unseen_points(mut self, frame_interval: f64) -> Self {
         let landmarks: BTreeSet<usize> = self.points.iter().flatten().map(|point| point.landmark).collect();
         for landmark in landmarks {
             let is_shown = |frame: &Vec<PixelObservation>| frame.iter().any(|pixel| pixel.landmark == landmark);
@@ -143,114 +134,6 @@ impl Observations {
             pixels: self.pixels[frames].to_vec(),
         })
     }
-}
-
-/// Gathers the triangulated points and detected pixels of one person over the frames of the person's track.
-pub(super) fn gather_observations(people: &TrackedPeople, track: &PersonTrack, model: &BodyModel) -> Observations {
-    let TrackedPeople { session, noise, cameras, points, .. } = *people;
-    let points = points.iter().find(|p| p.person == track.person);
-    let landmarks = session.landmarks_on(model);
-    let rigid = rigid_points(model, session.convention);
-    let camera_of_view: Vec<Option<usize>> = cameras
-        .iter()
-        .scan(0, |n_posed, camera| {
-            *n_posed += usize::from(camera.is_some());
-            Some(camera.map(|_| *n_posed - 1))
-        })
-        .collect();
-    let posed = session.views.iter().zip(cameras).filter_map(|(view, camera)| {
-        camera.map(|camera_from_world| PosedCamera { intrinsics: view.intrinsics, camera_from_world })
-    });
-    let at_frame = |offset: usize| FrameSource { session, noise, track, points, frame: track.first.0 + offset };
-    let n_frames = track.detections.len();
-    let cameras: Vec<PosedCamera> = posed.collect();
-    let keypoints: Vec<(usize, usize)> =
-        landmarks.iter().enumerate().filter_map(|(k, landmark)| Some((k, (*landmark)?))).chain(rigid.clone()).collect();
-    let pixels: Vec<Vec<PixelObservation>> =
-        (0..n_frames).into_par_iter().map(|t| at_frame(t).pixels(&keypoints, &camera_of_view)).collect();
-    let points = |t: usize| {
-        let mut points = at_frame(t).points(&landmarks);
-        points.extend(rigid.iter().filter_map(|(_, landmark)| triangulated(*landmark, &cameras, &pixels[t])));
-        points
-    };
-    let points = (0..n_frames).into_par_iter().map(points).collect();
-    Observations { points, cameras, pixels }.without_unseen_points(1.0 / session.fps)
-}
-
-/// One frame of the inputs.
-struct FrameSource<'a> {
-    session: &'a Session,
-    noise: &'a DetectorNoise,
-    track: &'a PersonTrack,
-    points: Option<&'a JointTrajectory>,
-    /// Frame index in the session.
-    frame: usize,
-}
-
-impl FrameSource<'_> {
-    fn points(&self, landmarks: &[Option<usize>]) -> Vec<PointObservation> {
-        let row = self.points.and_then(|p| p.points.get(self.frame.checked_sub(p.first.0)?));
-        let named = row.into_iter().flatten().zip(landmarks);
-        named
-            .filter_map(|(position, landmark)| {
-                Some(PointObservation { landmark: (*landmark)?, position: (*position)? })
-            })
-            .filter(|p| p.position.iter().all(|v| v.is_finite()))
-            .collect()
-    }
-
-    /// `keypoints`: index of a keypoint and the landmark that it shows.
-    fn pixels(&self, keypoints: &[(usize, usize)], camera_of_view: &[Option<usize>]) -> Vec<PixelObservation> {
-        let mut pixels: Vec<PixelObservation> = Vec::new();
-        let of_views = &self.track.detections[self.frame - self.track.first.0];
-        for ((view, index), camera) in self.session.views.iter().zip(of_views).zip(camera_of_view) {
-            let detection = view.frames.get(self.frame).zip(*index).and_then(|(people, index)| people.get(index));
-            let (Some(detection), Some(camera)) = (detection, *camera) else { continue };
-            let size_px = apparent_size_px(detection);
-            for &(k, landmark) in keypoints {
-                let Some(keypoint) = detection.keypoints.get(k).filter(|keypoint| keypoint.is_present()) else {
-                    continue;
-                };
-                // The measured noise is not about hands and faces: their detectors have confidences of their own.
-                let is_detail = self.session.dense.is_none() && k >= self.session.convention.names().len();
-                let factor = |confidence: f64| self.noise.factor(confidence.max(DETECTOR.comparable));
-                let scale_px = size_px * if is_detail { 1.0 } else { factor(keypoint.confidence) };
-                let stated = |covariance| ErrorShape::Stated(StatedError { covariance, size_px });
-                let error = keypoint.covariance.map_or(ErrorShape::Round, stated);
-                pixels.push(PixelObservation { landmark, camera, pixel: keypoint.pixel, scale_px, error });
-            }
-        }
-        pixels.sort_by_key(|pixel| pixel.landmark);
-        // They are kept for the whole take: what growing has left over was 0.4 GiB of 30,000 frames of two people.
-        pixels.shrink_to_fit();
-        pixels
-    }
-}
-
-/// Scale of the robust cost of a triangulated point, m: half of a hand.
-const ROBUST_SCALE_M: f64 = 0.1;
-
-/// A landmark from its pixels in a frame; `None` where fewer than two cameras see it.
-fn triangulated(landmark: usize, cameras: &[PosedCamera], pixels: &[PixelObservation]) -> Option<PointObservation> {
-    let rays = pixels.iter().filter(|pixel| pixel.landmark == landmark).map(|pixel| {
-        let camera = &cameras[pixel.camera];
-        let normalized = camera.intrinsics.normalized_from_pixel(&pixel.pixel);
-        RayToPoint { camera_from_world: &camera.camera_from_world, normalized, weight: 1.0 }
-    });
-    let position = triangulate_reweighted(&rays.collect::<Vec<_>>(), ROBUST_SCALE_M)?;
-    Some(PointObservation { landmark, position })
-}
-
-/// Least apparent size, so that two close points of a distant person do not get a standard deviation of fractions of a
-/// pixel, px.
-const MIN_SIZE_PX: f64 = 60.0;
-
-/// Longer side of the bounding box of the present keypoints, px.
-fn apparent_size_px(detection: &Detection) -> f64 {
-    let present = || detection.keypoints.iter().filter(|k| k.is_present()).map(|k| k.pixel);
-    let Some(first) = present().next() else { return MIN_SIZE_PX };
-    let (low, high) = present().fold((first, first), |(low, high), p| (low.inf(&p), high.sup(&p)));
-    (high - low).max().max(MIN_SIZE_PX)
 }
 
 #[cfg(test)]

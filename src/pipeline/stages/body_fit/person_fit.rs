@@ -108,15 +108,14 @@ impl Pass {
     fn budget(self, context: &FitContext, n_cameras: usize, shape: Shape) -> Budget {
         let FitContext { config, noise, .. } = *context;
         let (damping, max_iterations) = (DAMPING_FROM_ROUGH, config.max_iterations);
-        let is_shape_known = shape == Shape::Held && noise.is_some() && n_cameras > 2;
-        let of_last = if is_shape_known { STEPS_OF_KNOWN_SHAPE } else { max_iterations };
         match self {
             Self::Points => Budget { max_iterations: 2, min_decrease: 3e-2, damping },
             Self::Rough => Budget { max_iterations, min_decrease: 3e-2, damping },
             Self::First => Budget { max_iterations, min_decrease: 3e-3, damping },
             Self::Last => {
-                let (min_decrease, damping) = (config.min_decrease, DAMPING_FROM_FIT);
-                Budget { max_iterations: of_last, min_decrease, damping }
+                let is_shape_known = shape == Shape::Held && noise.is_some() && n_cameras > 2;
+                let max_iterations = if is_shape_known { STEPS_OF_KNOWN_SHAPE } else { max_iterations };
+                Budget { max_iterations, min_decrease: config.min_decrease, damping: DAMPING_FROM_FIT }
             }
         }
     }
