@@ -9,6 +9,7 @@ use super::gathering::gather_observations;
 use super::joint_uncertainty::{MotionUncertainty, motion_uncertainty};
 use super::keypoint_bias::estimated_bias;
 use super::latent_fit::latent_motions;
+use super::local_noise::{LocalNoise, local_noise};
 use super::monocular::lifting::lifted;
 use super::observations::Observations;
 use super::person_fit::{StartedMotion, finish_motion, start_motion};
@@ -69,6 +70,7 @@ pub fn fit_bodies(
         FitContext { model, config, first_config: &first_config, frame_interval, up, progress, noise, systems };
     let mut started = started_people(input, &up, &context)?;
     let stated = weigh_stated_covariances(&context, &mut started)?;
+    let local = if config.correlated_errors { local_noise(&context, &started) } else { None };
     progress.report(0.5, "estimating the keypoint bias of the detector");
 
     let people: Vec<&(Observations, StartedMotion)> = started.iter().flatten().collect();
@@ -103,6 +105,9 @@ pub fn fit_bodies(
         }
         false => cameras,
     };
+    if let Some(local) = &local {
+        local.weigh(&mut started);
+    }
     let gap_limit = (config.gap_limit_secs / frame_interval).round() as usize;
     let finish_person = |(track, started): (&PersonTrack, Option<(Observations, StartedMotion)>)| {
         progress.check()?;
@@ -131,6 +136,7 @@ pub fn fit_bodies(
     let focal = adjusted.as_ref().and_then(|adjusted| adjusted.focal.clone());
     let mut report = stage_report(&people, input.tracks.len());
     report.metrics.extend(stated.iter().flat_map(StatedCovariances::metrics));
+    report.metrics.extend(local.as_ref().map(LocalNoise::metric));
     report.metrics.extend(focal.as_ref().map(|focal| ("focal_log_evidence".to_owned(), focal.log_evidence)));
     Ok(FittedBodies {
         report,

@@ -19,6 +19,7 @@
 //! | `keypoint_bias`, `session_bias` | the detector's offsets, with the cameras held |
 //! | `camera_adjustment`, `noise_measurement` | cameras and motions together, under errors correlated in time |
 //! | `stated_covariances` | how far the covariances that a detector states decide |
+//! | `local_noise` | how exact the detector is at each time, landmark by landmark and camera by camera |
 //! | `joint_uncertainty`, `single_camera`, `unseen_limbs` | standard deviations of the joints; what one camera alone, and none, leaves open |
 //! | `collision_resolution`, `capsule_overlaps` | overlaps between bodies |
 //! | `person_motion` | a fit on the session's time line, its published motion and statistics |
@@ -43,6 +44,7 @@ mod joint_uncertainty;
 mod keypoint_bias;
 mod latent_fit;
 mod local_fit;
+mod local_noise;
 mod minimisation;
 mod monocular;
 mod motion_problem;

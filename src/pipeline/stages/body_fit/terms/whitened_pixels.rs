@@ -26,6 +26,9 @@ pub(crate) type Positions = Vec<Vec<Vector3<f64>>>;
 /// A channel's frames and standardised residuals, ascending in time.
 pub(crate) type Run = Vec<(usize, Vector2<f64>)>;
 
+/// Of one channel: `[landmark, camera]`, and the innovations' frames and lengths in standard deviations.
+pub(crate) type ChannelInnovations = ([usize; 2], Vec<(usize, f64)>);
+
 /// Innovations of all channels of one person. The cameras come with each call, since they move while channels stay.
 #[derive(Debug)]
 pub(crate) struct WhitenedPixels {
@@ -199,6 +202,19 @@ impl WhitenedPixels {
             let following = channel.seen.iter().filter(|seen| seen.parts.len > 1);
             following.filter_map(|seen| Some(seen.parts.combined(|i| residuals[i])?.norm())).collect()
         })
+    }
+
+    /// Innovations of all channels, landmark by landmark.
+    pub(crate) fn innovations_by_channel(
+        &self,
+        cameras: &[PosedCamera],
+        positions: &Positions,
+    ) -> Vec<ChannelInnovations> {
+        let channels = self.for_channels(cameras, positions, |channel, residuals| {
+            let length = |seen: &Seen| Some((seen.frame, seen.parts.combined(|i| residuals[i])?.norm()));
+            (channel.camera, channel.seen.iter().filter_map(length).collect())
+        });
+        channels.into_iter().map(|(landmark, (camera, lengths))| ([landmark, camera], lengths)).collect()
     }
 
     fn for_channels<T>(
