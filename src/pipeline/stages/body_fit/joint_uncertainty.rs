@@ -60,7 +60,7 @@ pub(super) fn motion_uncertainty(
     cameras: Option<&CameraCovariance>,
 ) -> Option<MotionUncertainty> {
     context.noise?;
-    let windows = windows(person.valid.len(), context.config.window_frames.max(3));
+    let windows = windows(person.valid.len(), context.window_frames());
     let of_window = |window: &Range<usize>| window_uncertainty(context, person, cameras, window);
     let of_windows: Vec<MotionUncertainty> = windows.par_iter().map(of_window).collect::<Option<_>>()?;
     let betas = of_windows.iter().map(|window| window.betas).min_by(|a, b| a.trace().total_cmp(&b.trace()))?;

@@ -23,7 +23,7 @@ const HELD: usize = 2;
 /// The runs around the frames that need a change.
 pub(super) fn runs_around(context: &FitContext, needs_change: impl Iterator<Item = bool>) -> Vec<Range<usize>> {
     let approach = (APPROACH_SECS / context.frame_interval).round() as usize;
-    runs(&needs_change.collect::<Vec<_>>(), approach.max(HELD + 1), context.config.window_frames)
+    runs(&needs_change.collect::<Vec<_>>(), approach.max(HELD + 1), context.window_frames())
 }
 
 /// A motion whose runs were fitted again.

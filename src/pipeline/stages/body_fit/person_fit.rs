@@ -35,7 +35,7 @@ pub(super) fn start_motion(
     observations: &Observations,
 ) -> Result<Option<StartedMotion>, Canceled> {
     let Some(start) = initial_motion(context.model, observations) else { return Ok(None) };
-    let windows = windows(start.poses.len(), context.config.window_frames.max(3));
+    let windows = windows(start.poses.len(), context.window_frames());
     let n_observed = |w: &Range<usize>| (n_observations(observations, w), std::cmp::Reverse(w.start));
     let Some(window) = windows.into_iter().max_by_key(n_observed) else { return Ok(None) };
     let fitted = fit_windows(
@@ -74,7 +74,7 @@ fn fit_windows(
     first: &Range<usize>,
     [of_first, of_others]: [&[Pass]; 2],
 ) -> Result<FittedMotion, Canceled> {
-    let windows = windows(start.poses.len(), context.config.window_frames.max(3));
+    let windows = windows(start.poses.len(), context.window_frames());
     let of_first = fit_window(context, observations, &start, first, Shape::Free, of_first)?;
     let shaped = MotionState { betas: of_first.whole.state.betas, ..start };
     let fit = |w: &Range<usize>| match w == first {

@@ -106,7 +106,7 @@ fn in_windows(
     cameras: &[PosedCamera],
 ) -> Result<FittedMotion, Canceled> {
     let context = problem.context;
-    let windows = windows(start.poses.len(), context.config.window_frames);
+    let windows = windows(start.poses.len(), context.window_frames());
     let fit = |window: &Range<usize>| {
         let frames = context.with_halo(window, start.poses.len());
         let mut members = vec![member(problem, observations, start, frames.clone(), share)];
