@@ -79,17 +79,17 @@ impl FrameSource<'_> {
     ) -> Vec<PixelObservation> {
         let mut pixels: Vec<PixelObservation> = Vec::new();
         let of_views = &self.track.detections[self.frame - self.track.first.0];
+        let (points, n_named) = (self.trajectory_points(), self.session.convention.names().len());
         for ((view, index), camera) in self.session.views.iter().zip(of_views).zip(camera_of_view) {
             let detection = view.frames.get(self.frame).zip(*index).and_then(|(people, index)| people.get(index));
             let (Some(detection), Some(camera)) = (detection, *camera) else { continue };
-            let named = &detection.keypoints[..self.session.convention.names().len()];
-            let size_px = apparent_size_px(&cameras[camera], self.trajectory_points(), named);
+            let size_px = apparent_size_px(&cameras[camera], points, &detection.keypoints[..n_named]);
             for &(k, landmark) in keypoints {
                 let Some(keypoint) = detection.keypoints.get(k).filter(|keypoint| keypoint.is_present()) else {
                     continue;
                 };
                 // The measured noise is not about hands and faces: their detectors have confidences of their own.
-                let is_detail = self.session.dense.is_none() && k >= self.session.convention.names().len();
+                let is_detail = self.session.dense.is_none() && k >= n_named;
                 let factor = |confidence: f64| self.noise.factor(confidence.max(DETECTOR.comparable));
                 let scale_px = size_px * if is_detail { 1.0 } else { factor(keypoint.confidence) };
                 let stated = |covariance| ErrorShape::Stated(StatedError { covariance, size_px });
@@ -137,11 +137,11 @@ fn apparent_size_px(camera: &PosedCamera, points: &[Option<Vector3<f64>>], keypo
     if 2 * n_points >= n_seen { of_points } else { of_detection }
 }
 
-/// Number of pixels, and the longer side of their bounding box, px.
+/// Number of pixels, and the longer side of their bounding box, px; at least [`MIN_SIZE_PX`].
 fn extent(pixels: impl Iterator<Item = Vector2<f64>>) -> (usize, f64) {
     let nothing = (0, Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
     let (n, low, high) = pixels.fold(nothing, |(n, low, high), p| (n + 1, low.inf(&p), high.sup(&p)));
-    (n, if n == 0 { MIN_SIZE_PX } else { (high - low).max().max(MIN_SIZE_PX) })
+    (n, (high - low).max().max(MIN_SIZE_PX))
 }
 
 #[cfg(test)]

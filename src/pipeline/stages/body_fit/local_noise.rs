@@ -74,15 +74,15 @@ pub(super) fn local_noise(
     context: &FitContext,
     started: &[Option<(Observations, StartedMotion)>],
 ) -> Option<LocalNoise> {
+    let n_cameras = started.iter().flatten().next()?.0.cameras.len();
+    if n_cameras < MIN_CAMERAS {
+        return None;
+    }
     let stride = rough_stride(context.frame_interval);
     let member = |(observations, fit): &(Observations, StartedMotion)| {
         Member::of(observations, fit, 0..observations.pixels.len(), stride)
     };
     let members: Vec<Member> = started.iter().flatten().map(member).collect();
-    let n_cameras = members.first()?.observations.cameras.len();
-    if n_cameras < MIN_CAMERAS {
-        return None;
-    }
     let context = FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context };
     let channels = channels(&context, &members);
     let process = LevelProcess::of(channels.iter().flatten());
