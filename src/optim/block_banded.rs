@@ -239,6 +239,11 @@ impl BlockBanded {
         self.panels.len().checked_div(self.layout.panel_len()).unwrap_or(0)
     }
 
+    /// The Hessian of the border, without damping, that remains after elimination.
+    pub fn border_information(&self) -> DMatrix<f64> {
+        self.schur_complement().0
+    }
+
     /// The system of the border that remains after elimination: Schur complement of the undamped corner, right-hand side.
     fn schur_complement(&self) -> (DMatrix<f64>, DVector<f64>) {
         let n_rows = STRIP * self.layout.border_strips().len();

@@ -12,6 +12,7 @@ use super::observations::{Observations, PosedCamera};
 use super::person_fit::StartedMotion;
 use super::terms::border_priors::{BoneLengthPrior, KeypointBiasPrior};
 use super::terms::noise_process::PathNoise;
+use super::terms::unknowns::MotionState;
 use super::thinned_motion::{carry_along, rough_stride};
 use crate::body::detector_offsets::OffsetTable;
 use crate::geometry::Rigid;
@@ -108,7 +109,11 @@ pub(super) fn correlated_errors(
         }
         // With the bones of the adjustment: what the betas do not span would look like slow errors of the detector, and with
         // errors that large and slow joints come up to a fifth worse.
-        let with_bones = |(member, adjusted): (Member, Member)| Member { bones: adjusted.bones, ..member };
+        let with_bones = |(member, adjusted): (Member, Member)| Member {
+            state: MotionState { betas: adjusted.state.betas, ..member.state },
+            bones: adjusted.bones,
+            ..member
+        };
         let mut members: Vec<Member> = seen_most(started).into_iter().zip(adjusted).map(with_bones).collect();
         if stride > 1 {
             // The same holds for frames between adjusted ones.
@@ -239,7 +244,7 @@ fn take_over(observations: &mut Observations, started: &mut StartedMotion, membe
     if takes_poses {
         carry_along(&mut started.fitted.state.poses[member.run.clone()], &member.state.poses, member.stride);
     }
-    started.fitted.state.betas = member.state.betas;
+    started.fitted.state.betas = member.betas_alone.unwrap_or(member.state.betas);
     observations.cameras.clone_from(&member.observations.cameras);
 }
 

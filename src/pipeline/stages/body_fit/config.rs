@@ -56,7 +56,7 @@ pub struct BodyFitConfig {
     pub max_resolution_cost: [f64; 2],
     /// Frames in a gap without detections longer than this are interpolated, but not valid, s.
     pub gap_limit_secs: f64,
-    /// Frames solved at once; longer takes are cut into such windows, their shape taken from the best of them.
+    /// Frames solved at once; longer takes are cut into such windows, which have one shape.
     pub window_frames: usize,
     /// How far a window reaches beyond its own frames on each side, s.
     pub halo_secs: f64,
@@ -162,6 +162,11 @@ impl BodyFitConfig {
     /// The settings of the first fit: without the motion prior if that only refines.
     pub(super) fn without_refinement(&self) -> Self {
         Self { motion_prior: self.motion_prior && !self.motion_prior_refines, ..self.clone() }
+    }
+
+    /// Weights of the prior of the betas against the data: of each, and of girths.
+    pub(super) fn shape_priors(&self) -> [f64; 2] {
+        [self.shape_prior, self.girth_prior]
     }
 
     /// The settings of the fits that take errors as correlated in time, by `autocorrelation` from frame to frame.

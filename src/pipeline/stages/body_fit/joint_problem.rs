@@ -4,6 +4,7 @@
 //! added up (an arrow of arrows). Cameras move in a free network: the seven directions of a similarity, which no detection
 //! shows, keep their values.
 
+mod betas_alone;
 mod camera_covariance;
 mod marginal_step;
 mod proportions;
@@ -30,6 +31,7 @@ use super::terms::whitened_pixels::WhitenedPixels;
 use crate::body::BodyModel;
 use crate::body::bone_offsets::{BoneOffsets, with_bones};
 use crate::body::detector_offsets::OffsetTable;
+use crate::body::model::Betas;
 use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, Eliminated};
 use crate::progress::Canceled;
 use nalgebra::Vector3;
@@ -48,6 +50,9 @@ pub(super) struct Member {
     pub state: MotionState,
     /// The person's bones against the model's, starting at zero.
     pub bones: BoneOffsets,
+    /// Betas that say as much as they can of what betas and bones say together at the last [marginal](JointProblem::marginalised)
+    /// minimum.
+    pub betas_alone: Option<Betas>,
 }
 
 /// The problem over all members.
@@ -288,7 +293,7 @@ impl Member {
         let fitted = &started.fitted.state;
         let poses = fitted.poses[run.clone()].iter().step_by(stride).copied().collect();
         let state = MotionState { betas: fitted.betas, poses };
-        Self { run, stride, observations, state, bones: BoneOffsets::default() }
+        Self { run, stride, observations, state, bones: BoneOffsets::default(), betas_alone: None }
     }
 
     /// Takes another motion, skeleton and cameras; returns the previous motion and skeleton.

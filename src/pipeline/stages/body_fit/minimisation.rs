@@ -2,7 +2,9 @@
 
 use super::context::FitContext;
 use super::motion_problem::MotionProblem;
+use super::terms::border_priors::BetaInformation;
 use super::terms::unknowns::MotionState;
+use crate::body::anthropometry::N_BETAS;
 use crate::optim::block_banded::BlockBanded;
 use crate::progress::Canceled;
 
@@ -17,13 +19,16 @@ pub(super) struct FittedMotion {
     pub iterations: usize,
     pub converged: bool,
     pub median_reprojection_px: Option<f64>,
+    /// Second derivatives of the cost by the betas where these were unknowns, the poses following; as of the last step.
+    pub beta_information: Option<BetaInformation>,
 }
 
 impl FittedMotion {
     /// A state before any minimisation.
     pub(super) fn initial(state: MotionState) -> Self {
-        let (cost_before, cost_after, iterations, converged, median_reprojection_px) = (0.0, 0.0, 0, true, None);
-        Self { state, cost_before, cost_after, iterations, converged, median_reprojection_px }
+        let (cost_before, cost_after, iterations, converged) = (0.0, 0.0, 0, true);
+        let (median_reprojection_px, beta_information) = (None, None);
+        Self { state, cost_before, cost_after, iterations, converged, median_reprojection_px, beta_information }
     }
 }
 
@@ -60,6 +65,7 @@ pub(super) fn minimised(
     let mut state = start;
     let cost_before = problem.cost(&state);
     let (mut cost, mut damping, mut iterations, mut converged) = (cost_before, damping, 0, false);
+    let mut beta_information = None;
     while iterations < max_iterations && !converged {
         context.progress.check()?;
         iterations += 1;
@@ -73,6 +79,7 @@ pub(super) fn minimised(
                 if moved_cost < cost {
                     converged = cost - moved_cost < min_decrease * cost;
                     (state, cost, damping, is_better) = (moved, moved_cost, damping * 0.1, true);
+                    beta_information = information(problem, system);
                     break;
                 }
             }
@@ -81,5 +88,12 @@ pub(super) fn minimised(
         converged |= !is_better;
     }
     let (cost_after, median_reprojection_px) = (cost, None);
-    Ok(FittedMotion { state, cost_before, cost_after, iterations, converged, median_reprojection_px })
+    Ok(FittedMotion { state, cost_before, cost_after, iterations, converged, median_reprojection_px, beta_information })
+}
+
+/// What an eliminated system says of the betas, if these are all of its border.
+fn information(problem: &MotionProblem, system: &BlockBanded) -> Option<BetaInformation> {
+    let border = system.border_information();
+    let has_betas_alone = problem.unknowns.border.betas() == (0..border.nrows()) && border.nrows() == N_BETAS;
+    has_betas_alone.then(|| border.fixed_view::<N_BETAS, N_BETAS>(0, 0).into_owned())
 }

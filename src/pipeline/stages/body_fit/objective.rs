@@ -75,7 +75,7 @@ impl<'a> Objective<'a> {
             frame_interval,
             data,
             shape,
-            shape_prior: [config.shape_prior, config.girth_prior],
+            shape_prior: config.shape_priors(),
             bias: None,
             cameras: CameraColumns::default(),
             speeds: None,
@@ -104,7 +104,6 @@ impl<'a> Objective<'a> {
         let unknowns = Unknowns::new(observed.joints.iter().chain(self.extra_joints).copied(), self.border());
         let ranges = joint_ranges_of(model);
         let (n_frames, time_weight) = (observations.points.len(), self.time_weight());
-        let [weight, girth_weight] = self.shape_prior;
         let robust = RobustAcceleration { knee: config.acceleration_knee, time_weight };
 
         let completed = self.completion.map_or_else(Vec::new, GapCompletion::completed_joints);
@@ -147,7 +146,7 @@ impl<'a> Objective<'a> {
             frame_terms,
             window_terms,
             paths,
-            shape_prior: ShapePrior { weight, girth_weight, girths: model.girth_direction },
+            shape_prior: ShapePrior::new(self.shape_prior, model),
             tracked,
             held: self.held,
             time_weight,

@@ -98,6 +98,9 @@ impl JointProblem<'_> {
             }
             replace_all(members, before, &session.cameras);
         }
+        for (member, person) in members.iter_mut().zip(&reduced.people) {
+            member.betas_alone = self.betas_alone(member, person);
+        }
         self.context.systems.put_back(reduced.into_systems());
         let cameras = &members.first()?.observations.cameras;
         let n = self.camera_columns(cameras.len()).unknowns.len();

@@ -76,7 +76,7 @@ mod tests {
         let observations =
             Observations { cameras: cameras(), points: vec![Vec::new(); N_FRAMES], pixels: vec![frame; N_FRAMES] };
         let state = MotionState { betas: Betas::zeros(), poses: vec![start; N_FRAMES] };
-        Member { run: 0..N_FRAMES, stride: 1, observations, state, bones: BoneOffsets::default() }
+        Member { run: 0..N_FRAMES, stride: 1, observations, state, bones: BoneOffsets::default(), betas_alone: None }
     }
 
     fn standing() -> Pose {

@@ -107,7 +107,7 @@ impl LatentProblem<'_> {
 
     fn shape_prior(&self) -> ShapePrior {
         let FitContext { model, config, .. } = self.context;
-        ShapePrior { weight: config.shape_prior, girth_weight: config.girth_prior, girths: model.girth_direction }
+        ShapePrior::new(config.shape_priors(), model)
     }
 
     /// Factor of a frame's cost, and that of the local linear term, whose differences are over 1/30 s.

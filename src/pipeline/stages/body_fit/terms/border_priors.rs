@@ -1,10 +1,14 @@
 //! Priors of the unknowns that all frames share: shape, bone offsets, keypoint offsets.
 
 use super::term::BorderTerm;
+use crate::body::BodyModel;
 use crate::body::anthropometry::N_BETAS;
 use crate::body::model::Betas;
 use crate::optim::block_banded::Corner;
-use nalgebra::Vector3;
+use nalgebra::{SMatrix, Vector3};
+
+/// Second derivatives of a cost by the betas.
+pub(crate) type BetaInformation = SMatrix<f64, N_BETAS, N_BETAS>;
 
 /// `(weight |betas|^2 + girth_weight (girths . betas)^2) / 2`: betas have standard deviation 1 over the population, and girths
 /// follow the stature.
@@ -18,6 +22,17 @@ pub(crate) struct ShapePrior {
 }
 
 impl ShapePrior {
+    /// `weight`, and `girth_weight` for the girths of `model`.
+    pub(crate) fn new([weight, girth_weight]: [f64; 2], model: &BodyModel) -> Self {
+        Self { weight, girth_weight, girths: model.girth_direction }
+    }
+
+    /// `weight I + girth_weight girths girths^T`.
+    pub(crate) fn hessian(&self) -> BetaInformation {
+        let girths = self.girths * self.girths.transpose() * self.girth_weight;
+        BetaInformation::from_diagonal_element(self.weight) + girths
+    }
+
     fn by_girths(&self, betas: &[f64]) -> f64 {
         self.girths.dot(&Betas::from_column_slice(betas))
     }
@@ -34,13 +49,11 @@ impl BorderTerm for ShapePrior {
     }
 
     fn add_to(&self, betas: &[f64], first: usize, corner: &mut Corner) {
-        let along = self.by_girths(betas);
-        let mut hessian = corner.hessian.fixed_view_mut::<N_BETAS, N_BETAS>(first, first);
-        hessian += self.girths * self.girths.transpose() * self.girth_weight;
-        for (k, beta) in betas.iter().enumerate() {
-            corner.hessian[(first + k, first + k)] += self.weight;
-            corner.gradient[first + k] += self.weight * beta + self.girth_weight * along * self.girths[k];
-        }
+        let hessian = self.hessian();
+        let mut of_betas = corner.hessian.fixed_view_mut::<N_BETAS, N_BETAS>(first, first);
+        of_betas += hessian;
+        let mut pull = corner.gradient.fixed_rows_mut::<N_BETAS>(first);
+        pull += hessian * Betas::from_column_slice(betas);
     }
 }
 
