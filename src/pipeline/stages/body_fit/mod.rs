@@ -9,6 +9,7 @@
 //! |---|---|
 //! | `fit`, `config`, `context` | the steps over all persons, also for statures alone, and what they read |
 //! | `observations`, `gathering` | triangulated points and detected pixels of one person; how they are gathered |
+//! | `averaging` | observations of every few frames, with what the frames between say |
 //! | `initial_motion`, `monocular` | the closed-form start; points of a single view lifted to 3D |
 //! | `person_fit`, `local_fit`, `pixel_residuals` | passes over one person's windows; runs fitted again; the detector's accuracy |
 //! | `terms`, `objective`, `motion_problem`, `minimisation` | the terms, their list, its sum, the damped Gauss-Newton steps |
@@ -24,6 +25,7 @@
 //! | `collision_resolution`, `capsule_overlaps` | overlaps between bodies |
 //! | `person_motion` | a fit on the session's time line, its published motion and statistics |
 
+mod averaging;
 mod camera_adjustment;
 mod camera_pose_prior;
 mod camera_priors;

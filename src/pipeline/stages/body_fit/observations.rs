@@ -66,6 +66,13 @@ pub(super) struct PosedCamera {
     pub camera_from_world: Rigid,
 }
 
+impl PosedCamera {
+    /// Where a point of the world is in the image, px; `None` behind the camera.
+    pub(super) fn pixel_of(&self, position: &Vector3<f64>) -> Option<Vector2<f64>> {
+        self.intrinsics.pixel_from_camera(&self.camera_from_world.transform(position))
+    }
+}
+
 /// All observations of one person.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Observations {

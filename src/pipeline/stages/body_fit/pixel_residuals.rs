@@ -99,8 +99,7 @@ fn residuals(model: &BodyModel, observations: &Observations, state: &MotionState
         for pixel in pixels {
             let camera = &observations.cameras[pixel.camera];
             let position = landmark_position(model, &body, &skeleton, pixel.landmark);
-            let in_camera = camera.camera_from_world.transform(&position);
-            if let Some(projected) = camera.intrinsics.pixel_from_camera(&in_camera) {
+            if let Some(projected) = camera.pixel_of(&position) {
                 let distance_px = (projected - pixel.pixel).norm();
                 residuals.push(PixelResidual { distance_px, share: distance_px / pixel.scale_px });
             }
