@@ -125,7 +125,7 @@ mod tests {
             let pixel = place(t, landmark) + error + Vector2::new(outlier, 0.0);
             PixelObservation { pixel, scale_px: 10.0, ..seen(landmark, 0) }
         };
-        let shown = |t: usize| if t % 5 == 0 && t > 0 { vec![] } else { vec![pixel(t, 1), pixel(t, 4)] };
+        let shown = |t: usize| if t.is_multiple_of(5) && t > 0 { vec![] } else { vec![pixel(t, 1), pixel(t, 4)] };
         let pixels = (0..15).map(shown).collect();
         let observations = Observations { cameras: vec![camera], points: vec![vec![]; 15], pixels };
         let averaged = averaged(model, &observations, &state, 5);
