@@ -100,16 +100,15 @@ fn fit_last(context: &FitContext, observations: &Observations, start: MotionStat
 }
 
 /// The betas at which all windows together cost least, each of which costs least at its own `b` and has the prior `P` in its information
-/// `H`, but all of them only once: `(sum H - (n - 1) P)^-1 sum H b`. `None` where a window took no step.
+/// `H`, but all of them only once: `(sum H - (n - 1) P)^-1 sum H b`. Windows that took no step, such as those that the person is absent
+/// from, say nothing; `None` where none took one.
 fn common_betas(context: &FitContext, windows: &[FittedWindow]) -> Option<Betas> {
     let prior = ShapePrior::new(context.config.shape_priors(), context.model).hessian();
-    let (mut information, mut pull) = (prior, Betas::zeros());
-    for FittedWindow { whole, .. } in windows {
-        let of_window = whole.beta_information?;
-        information += of_window - prior;
-        pull += of_window * whole.state.betas;
-    }
-    Some(information.cholesky()?.solve(&pull))
+    let says = |FittedWindow { whole, .. }: &FittedWindow| Some((whole.beta_information?, whole.state.betas));
+    let said: Vec<_> = windows.iter().filter_map(says).collect();
+    let information = said.iter().fold(prior, |sum, (of_window, _)| sum + (of_window - prior));
+    let pull: Betas = said.iter().map(|(of_window, betas)| of_window * betas).sum();
+    if said.is_empty() { None } else { Some(information.cholesky()?.solve(&pull)) }
 }
 
 /// Fewest frames that are left by thinning; shorter windows are fitted whole.
@@ -342,7 +341,16 @@ mod tests {
         };
         let ((first, of_first), (second, of_second)) = (data(0), data(1));
         let expected = least(first + second + prior, of_first + of_second);
-        let found = common_betas(&context, &[window(0), window(1)]).unwrap();
+        let absent = || {
+            let state = MotionState { betas: Betas::repeat(9.0), poses: Vec::new() };
+            FittedWindow { whole: FittedMotion::initial(state), frames: 0..0 }
+        };
+        let found = common_betas(&context, &[window(0), absent(), window(1)]).unwrap();
         assert!((found - expected).norm() < 1e-9, "{found} {expected}");
+        assert_eq!(
+            common_betas(&context, &[absent()]),
+            None,
+            "where the person is absent nothing is said of the shape"
+        );
     }
 }
