@@ -58,7 +58,8 @@ const MIN_FRAMES: usize = 60;
 /// Residuals that lie farther apart tell more of the slow part of the errors than those of successive frames, and what lies
 /// between says little of it that is new: with every second or third frame at 30 Hz cameras come 6 to 14 % closer than with all, in a
 /// third of the time. Of white errors every frame counts: cameras came 11 to 13 % worse. What is white of slow errors, their outliers
-/// and holes are averaged over the frames between ([`averaged`]): angles of cameras are 0.74 to 0.96 times those without.
+/// and holes are averaged over the frames between ([`averaged`]): angles of cameras are 0.70 to 1.04 times those without,
+/// by kind of capture, 0.88 in the mean of 69.
 const FRAME_SECS: f64 = 0.1;
 
 /// Least autocorrelation of the errors of successive frames of the adjustment, if it leaves out any that it could take.
