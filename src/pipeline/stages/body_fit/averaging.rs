@@ -21,12 +21,16 @@ pub(super) fn averaged(
     stride: usize,
 ) -> Observations {
     let n_frames = observations.pixels.len();
+    if stride == 1 {
+        return observations.clone();
+    }
     let body = model.shaped(&state.betas);
     let motion = Motion { model, body: &body, observations, state };
     let around = |t: usize| t.saturating_sub((stride - 1) / 2)..=(t + stride / 2).min(n_frames - 1);
     let kept: Vec<usize> = (0..n_frames).step_by(stride).collect();
+    let points = kept.iter().map(|&t| observations.points[t].clone()).collect();
     let pixels = kept.into_par_iter().map(|t| motion.pixels_at(t, around(t))).collect();
-    Observations { pixels, ..observations.thinned(0..n_frames, stride) }
+    Observations { cameras: observations.cameras.clone(), points, pixels }
 }
 
 /// A known motion and what is detected of it.

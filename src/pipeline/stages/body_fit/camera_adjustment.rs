@@ -34,6 +34,8 @@ pub(super) struct AdjustedCameras {
     pub focal: Option<RefinedFocal>,
     /// The detector's errors.
     pub noise: PathNoise,
+    /// Those of frames [`rough_stride`] apart that are [`averaged`].
+    pub averaged_noise: PathNoise,
 }
 
 /// Most frames of all persons together, spread over the take: cameras that are seen this often are known to a third of what constant errors of the
@@ -91,22 +93,27 @@ pub(super) fn correlated_errors(
         };
         started.iter().flatten().map(member).collect()
     };
-    let (mut cameras, mut focal, mut covariance, mut measured) = (None, None, None, None);
+    let rough_stride = rough_stride(context.frame_interval);
+    let (mut cameras, mut focal, mut covariance) = (None, None, None);
+    let (mut measured, mut measured_averaged) = (None, None);
     if context.config.camera_rounds > 0 {
         let n_tracked: usize = started.iter().flatten().map(|(observations, _)| observations.pixels.len()).sum();
         let informative = informative_stride(context, &seen_most(started), n_tracked / n_people);
         let stride = n_tracked.div_ceil(MAX_FRAMES).max(informative);
         let spread = |(observations, fit): &(Observations, StartedMotion)| {
-            let member = Member::of(observations, fit, 0..observations.pixels.len(), stride);
-            Member { observations: averaged(context.model, observations, &fit.fitted.state, stride), ..member }
+            let averaged = averaged(context.model, observations, &fit.fitted.state, stride);
+            Member::new(averaged, fit, 0..observations.pixels.len(), stride)
         };
         let mut adjusted: Vec<Member> = started.iter().flatten().map(spread).collect();
         let thinned = FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context };
-        if !stride.is_multiple_of(rough_stride(context.frame_interval)) {
+        if !stride.is_multiple_of(rough_stride) {
             // Frames between those of the first fits do not show the detector's errors before they have settled.
             settle(&thinned, &mut adjusted)?;
         }
         (covariance, focal) = adjust(&thinned, &mut adjusted)?;
+        if stride == rough_stride {
+            measured_averaged = Some(measured_noise(&thinned, &adjusted));
+        }
         cameras = adjusted.first().map(|member| member.observations.cameras.clone());
         for ((observations, started), member) in started.iter_mut().flatten().zip(&adjusted) {
             take_over(observations, started, member, stride <= informative);
@@ -127,7 +134,8 @@ pub(super) fn correlated_errors(
     }
     let noise = measured.unwrap_or_else(|| measured_noise(context, &seen_most(started)));
     let poses = |cameras: Vec<PosedCamera>| cameras.iter().map(|camera| camera.camera_from_world).collect();
-    Ok(Some(AdjustedCameras { cameras: cameras.map(poses), focal, noise, covariance }))
+    let averaged_noise = measured_averaged.unwrap_or_else(|| noise.thinned(rough_stride));
+    Ok(Some(AdjustedCameras { cameras: cameras.map(poses), focal, noise, averaged_noise, covariance }))
 }
 
 /// Every how many frames the adjustment takes one, by how much each says that is new; `n_frames`: those of a person, in the mean.

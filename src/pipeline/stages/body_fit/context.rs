@@ -22,6 +22,8 @@ pub(super) struct FitContext<'a> {
     pub progress: &'a Progress,
     /// The detector's errors over time, once they have been measured.
     pub noise: Option<&'a PathNoise>,
+    /// The same of frames that are averaged, see [`super::averaging`].
+    pub averaged_noise: Option<&'a PathNoise>,
     pub systems: &'a SystemPool,
 }
 

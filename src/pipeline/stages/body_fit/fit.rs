@@ -65,9 +65,10 @@ pub fn fit_bodies(
 ) -> Result<FittedBodies, Canceled> {
     let frame_interval = input.session.frame_interval();
     let first_config = config.without_refinement();
-    let (noise, systems, up) = (None, &SystemPool::default(), *up);
+    let (noise, averaged_noise, systems, up) = (None, None, &SystemPool::default(), *up);
+    let first_config = &first_config;
     let context =
-        FitContext { model, config, first_config: &first_config, frame_interval, up, progress, noise, systems };
+        FitContext { model, config, first_config, frame_interval, up, progress, noise, averaged_noise, systems };
     let mut started = started_people(input, &up, &context)?;
     let stated = weigh_stated_covariances(&context, &mut started)?;
     let local = if config.correlated_errors { local_noise(&context, &started) } else { None };
@@ -96,7 +97,8 @@ pub fn fit_bodies(
     let noise = adjusted.as_ref().map(|adjusted| &adjusted.noise);
     let slow = noise.map_or(0.0, |noise| noise.typical().autocorrelation);
     let last_config = config.under_correlated_errors(slow);
-    let context = FitContext { noise, config: &last_config, ..context };
+    let averaged_noise = adjusted.as_ref().map(|adjusted| &adjusted.averaged_noise);
+    let context = FitContext { noise, averaged_noise, config: &last_config, ..context };
     let cameras = adjusted.as_ref().and_then(|adjusted| adjusted.cameras.clone());
     let cameras = match config.latent_motions {
         true => {
@@ -180,9 +182,10 @@ pub fn fitted_statures(
     let frame_interval = input.session.frame_interval();
     // Without the motion prior the way up is of no account.
     let up = Vector3::y();
-    let (noise, systems) = (None, &SystemPool::default());
+    let (config, noise, averaged_noise, systems) = (&config, None, None, &SystemPool::default());
+    let first_config = config;
     let context =
-        FitContext { model, config: &config, first_config: &config, frame_interval, up, progress, noise, systems };
+        FitContext { model, config, first_config, frame_interval, up, progress, noise, averaged_noise, systems };
     let fit = |track: &PersonTrack| {
         progress.check()?;
         let observations = gather_observations(input, track, model);

@@ -287,9 +287,13 @@ impl JointProblem<'_> {
 }
 
 impl Member {
-    /// Every `stride`-th frame of a run of the track.
+    /// Every `stride`-th frame of a run of the track, as detected.
     pub(super) fn of(observations: &Observations, started: &StartedMotion, run: Range<usize>, stride: usize) -> Self {
-        let observations = observations.thinned(run.clone(), stride);
+        Self::new(observations.thinned(run.clone(), stride), started, run, stride)
+    }
+
+    /// The same; `observations`: at these frames.
+    pub(super) fn new(observations: Observations, started: &StartedMotion, run: Range<usize>, stride: usize) -> Self {
         let fitted = &started.fitted.state;
         let poses = fitted.poses[run.clone()].iter().step_by(stride).copied().collect();
         let state = MotionState { betas: fitted.betas, poses };

@@ -11,7 +11,8 @@
 //! | `observations`, `gathering` | triangulated points and detected pixels of one person; how they are gathered |
 //! | `averaging` | observations of every few frames, with what the frames between say |
 //! | `initial_motion`, `monocular` | the closed-form start; points of a single view lifted to 3D |
-//! | `person_fit`, `local_fit`, `pixel_residuals` | passes over one person's windows; runs fitted again; the detector's accuracy |
+//! | `person_fit`, `window_fit` | one person's windows, and the passes over one |
+//! | `local_fit`, `pixel_residuals` | runs fitted again; the detector's accuracy |
 //! | `terms`, `objective`, `motion_problem`, `minimisation` | the terms, their list, its sum, the damped Gauss-Newton steps |
 //! | `thinned_motion` | fits to every few frames, from which those between follow |
 //! | `gap_completion` | joints that no camera shows for a while, completed by the motion prior |
@@ -70,6 +71,7 @@ mod tests_simulated;
 mod thinned_motion;
 mod trunk_sides;
 mod unseen_limbs;
+mod window_fit;
 
 pub use config::{BodyFitConfig, KnownCameras};
 pub use fit::{FittedBodies, fit_bodies, fitted_statures};

@@ -33,7 +33,17 @@ impl Surroundings {
     pub(super) fn context(&self) -> FitContext<'_> {
         let Self { model, config, progress, systems } = self;
         let (frame_interval, up, noise) = (1.0 / 30.0, Vector3::y(), None);
-        FitContext { model, config, first_config: config, frame_interval, up, progress, noise, systems }
+        FitContext {
+            model,
+            config,
+            first_config: config,
+            frame_interval,
+            up,
+            progress,
+            noise,
+            averaged_noise: noise,
+            systems,
+        }
     }
 }
 
