@@ -5,6 +5,7 @@ use super::initial_motion::initial_motion;
 use super::minimisation::FittedMotion;
 use super::observations::Observations;
 use super::pixel_residuals::median_distance_px;
+use super::single_camera::SingleCamera;
 use super::terms::border_priors::ShapePrior;
 use super::terms::unknowns::{MotionState, Shape};
 use super::window_fit::{FittedWindow, Pass, fit_window, stride};
@@ -82,7 +83,7 @@ fn fit_last(context: &FitContext, observations: &Observations, start: MotionStat
         windows.par_iter().map(|window| fit_window(context, observations, start, window, shape, &[pass])).collect()
     };
     let join = |fits: Vec<FittedWindow>| joined(&windows, fits, context.halo_frames());
-    let averaged_noise = context.averaged_noise.filter(|_| stride(context, observations) > 1);
+    let averaged_noise = context.averaged_noise.filter(|_| averages(context, observations));
     // With the shape of a single window held until the end, one step would leave it short of its minimum.
     let shape = if windows.len() == 1 { Shape::Free } else { Shape::Held };
     let (started, last) = match averaged_noise {
@@ -99,6 +100,14 @@ fn fit_last(context: &FitContext, observations: &Observations, start: MotionStat
     let shaped = MotionState { betas, ..moved.state.clone() };
     let fitted = join(fit_all(&shaped, Shape::Held, last)?).after(&moved);
     Ok(FittedMotion { cost_before: moved.cost_before, ..fitted })
+}
+
+/// Whether the last fit of a track begins with averaged frames. Where one camera alone shows the person, what guides the fit comes with all
+/// frames, and steps of averaged ones lead limbs to the wrong side in depth: joints of runners who come into sight and leave it were up
+/// to a third farther off.
+fn averages(context: &FitContext, observations: &Observations) -> bool {
+    let is_open = || SingleCamera::new(context.model, observations, context.frame_interval).open_frames();
+    stride(context, observations) > 1 && !is_open().contains(&true)
 }
 
 /// Least autocorrelation of the errors of averaged frames with which one step leads from there to the end: real and realistic errors have
@@ -154,9 +163,22 @@ pub(super) fn joined(windows: &[Range<usize>], fits: Vec<FittedWindow>, halo: us
 #[cfg(test)]
 mod tests {
     use super::super::terms::border_priors::BetaInformation;
-    use super::super::test_fixtures::Surroundings;
+    use super::super::test_fixtures::{Surroundings, camera_in_front, seen};
     use super::*;
     use nalgebra::SMatrix;
+
+    /// Averaged frames led limbs of runners who come into sight of one camera to the wrong side in depth.
+    #[test]
+    fn tracks_with_a_single_camera_are_not_averaged() {
+        let surroundings = Surroundings::new();
+        let shown = |alone: Range<usize>| {
+            let frame = |t: usize| (0..if alone.contains(&t) { 1 } else { 2 }).map(|camera| seen(4, camera)).collect();
+            let cameras = vec![camera_in_front(0.0), camera_in_front(1.2)];
+            Observations { cameras, points: vec![Vec::new(); 120], pixels: (0..120).map(frame).collect() }
+        };
+        let averages = |alone| averages(&surroundings.context(), &shown(alone));
+        assert!(averages(0..0) && averages(50..55) && !averages(0..30));
+    }
 
     /// The shape of a long take came from its best window alone. Two quadratic costs, each of which has the prior in it: the betas of least
     /// cost together, with the prior counted once.
