@@ -29,6 +29,16 @@ export async function openPage(browser, { colorScheme = 'dark', isPolicyTried = 
   return page
 }
 
+/**
+ * Opens the page of a job anew, by way of the list of jobs. Both addresses differ in their hash alone: the list must be drawn before
+ * the second is set, otherwise a busy page sees the second twice and keeps what it shows.
+ */
+export async function openJobAnew(page, base, id) {
+  await page.goto(`${base}/#/`)
+  await page.locator('.home').waitFor()
+  await page.goto(`${base}/#/jobs/${id}`)
+}
+
 export const shot = (page, name) => page.screenshot({ path: join(SHOTS, `${name}.png`) })
 
 let failures = 0

@@ -4,7 +4,7 @@ import { execFileSync } from 'node:child_process'
 import { readFileSync } from 'node:fs'
 import { join } from 'node:path'
 import { checkBodies } from './body.mjs'
-import { check, checkAccess, failed, hasBrowser, openBrowser, openPage, shot } from './browser.mjs'
+import { check, checkAccess, failed, hasBrowser, openBrowser, openJobAnew, openPage, shot } from './browser.mjs'
 import { checkCorrections, checkCurvesAndZip, checkLinks, checkPhone } from './corrections.mjs'
 import { checkKeys } from './keys.mjs'
 import { LENSES, throughLenses } from './lenses.mjs'
@@ -229,8 +229,7 @@ async function cancelLongJob() {
   check('a running job is canceled', true)
   check('the provisional scene ends with the job', (await page.locator('.provisional').count()) === 0)
   await checkProvisional(page, base, live)
-  await page.goto(`${base}/#/`)
-  await page.goto(`${base}/#/jobs/${live.job.id}`)
+  await openJobAnew(page, base, live.job.id)
   await page.getByRole('heading', { name: 'Canceled' }).waitFor({ timeout: 10_000 })
   await shot(page, 'canceled')
   await checkAccess(page, 'canceled job')
@@ -283,8 +282,7 @@ async function otherBody() {
   const job = await solve(base, asDocument(join(folder, 'take')), { options: { body: 'studio' } })
   const asked = []
   page.on('request', (request) => asked.push(new URL(request.url()).pathname))
-  await page.goto(`${base}/#/`)
-  await page.goto(`${base}/#/jobs/${job.id}`)
+  await openJobAnew(page, base, job.id)
   await sceneReady(page)
   await page.getByText(/never leaves the service/).waitFor()
   const names = (await (await fetch(`${base}/v1/jobs/${job.id}/result`)).json()).files.map(({ name }) => name)

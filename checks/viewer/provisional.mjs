@@ -1,6 +1,6 @@
 // The provisional scene of a running job.
 
-import { check, checkAccess, shot } from './browser.mjs'
+import { check, checkAccess, openJobAnew, shot } from './browser.mjs'
 import { drawn } from './scene.mjs'
 
 /** Waits for the scene of the running job of the page; returns the job and its scene. */
@@ -29,8 +29,7 @@ export async function checkProvisional(page, base, { job, scene }) {
   const events = `event: state\nid: 1\ndata: ${JSON.stringify(job)}\n\nevent: scene\ndata: ${JSON.stringify({ stage: scene.stage })}\n\n`
   await page.route('**/events', (route) => route.fulfill({ contentType: 'text/event-stream', body: events }))
   await page.route('**/scene', (route) => route.fulfill({ contentType: 'application/json', body: JSON.stringify(scene) }))
-  await page.goto(`${base}/#/`)
-  await page.goto(`${base}/#/jobs/${job.id}`)
+  await openJobAnew(page, base, job.id)
   const shown = page.locator('.provisional')
   await shown.waitFor()
   check('the provisional scene is named as such', /^Provisional/.test(await shown.locator('figcaption').innerText()))

@@ -1,7 +1,7 @@
 // Failed jobs, rejected results, names with HTML in them, and the content security policy.
 
 import { join } from 'node:path'
-import { check, checkAccess, openPage, shot } from './browser.mjs'
+import { check, checkAccess, openJobAnew, openPage, shot } from './browser.mjs'
 import { drawn, sceneReady } from './scene.mjs'
 import { asDocument, simulate, solve } from './service.mjs'
 
@@ -17,8 +17,7 @@ export async function jobsWithoutResult({ page, base, folder }) {
   await checkExplained(page, 'failed', 'a failed job', job.error?.code)
   const dead = { ...job, state: 'dead', error: { code: 'crashed', detail: 'The job process crashed three times.', remedy: 'Submit the session again with fewer frames, or contact the operator.' } }
   await page.route('**/events', (route) => route.fulfill({ contentType: 'text/event-stream', body: `event: state\nid: 1\ndata: ${JSON.stringify(dead)}\n\n` }))
-  await page.goto(`${base}/#/`)
-  await page.goto(`${base}/#/jobs/${job.id}`)
+  await openJobAnew(page, base, job.id)
   await page.getByText('The job crashed three times').waitFor()
   await checkExplained(page, 'dead', 'a crashed job')
   await page.unroute('**/events')
@@ -35,8 +34,7 @@ export async function rejectedResult({ page, base, job }) {
     await route.fulfill({ json: { ...report, quality: { verdict: 'reject', reasons: [reason, 'half of all detections were rejected'] } } })
   }
   await page.route('**/report', reject)
-  await page.goto(`${base}/#/`)
-  await page.goto(`${base}/#/jobs/${job.id}`)
+  await openJobAnew(page, base, job.id)
   await sceneReady(page)
   await page.locator('.quality').getByText('do not use').waitFor()
   await shot(page, 'rejected-scene')
