@@ -179,32 +179,15 @@ mod tests {
     use super::super::config::BodyFitConfig;
     use super::super::minimisation::FittedMotion;
     use super::super::observations::Observations;
-    use super::super::observations::{ErrorShape, PixelObservation};
-    use super::super::test_fixtures::{Surroundings, camera_in_front};
+    use super::super::test_fixtures::{Surroundings, detected};
     use super::*;
     use crate::body::joint_ranges::natural_pose;
-    use crate::body::kinematics::{Pose, PosedSkeleton, landmark_position, posed};
+    use crate::body::kinematics::Pose;
     use crate::body::model::Betas;
     use crate::session::PersonId;
     use nalgebra::Vector3;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
-
-    /// What two cameras detect of a person, without errors.
-    fn detected(model: &BodyModel, poses: &[Pose]) -> Observations {
-        let cameras = vec![camera_in_front(0.0), camera_in_front(1.2)];
-        let body = model.shaped(&Betas::zeros());
-        let pixel = |skeleton: &PosedSkeleton, landmark: usize, camera: usize| {
-            let place = cameras[camera].pixel_of(&landmark_position(model, &body, skeleton, landmark));
-            PixelObservation { landmark, camera, pixel: place.unwrap(), scale_px: 400.0, error: ErrorShape::Round }
-        };
-        let frame = |pose: &Pose| {
-            let skeleton = posed(&body, pose);
-            let of_landmark = |landmark| [0, 1].map(|camera| pixel(&skeleton, landmark, camera));
-            (0..model.landmarks.len()).flat_map(of_landmark).collect()
-        };
-        Observations { pixels: poses.iter().map(frame).collect(), points: vec![Vec::new(); poses.len()], cameras }
-    }
 
     /// The last fit ends a step or two from its minimum. What resolutions lowered the cost by beside the overlap hid that the
     /// observations hold it in place, and people were pulled apart.

@@ -30,11 +30,6 @@ impl FittedMotion {
         let (median_reprojection_px, beta_information) = (None, None);
         Self { state, cost_before, cost_after, iterations, converged, median_reprojection_px, beta_information }
     }
-
-    /// With the steps that led to where it began.
-    pub(super) fn after(self, before: &Self) -> Self {
-        Self { iterations: before.iterations + self.iterations, ..self }
-    }
 }
 
 /// Dampings tried before a state counts as the minimum: up to 1e3 and beyond.

@@ -11,7 +11,7 @@
 //! | `observations`, `gathering` | triangulated points and detected pixels of one person; how they are gathered |
 //! | `averaging` | observations of every few frames, with what the frames between say |
 //! | `initial_motion`, `monocular` | the closed-form start; points of a single view lifted to 3D |
-//! | `person_fit`, `window_fit` | one person's windows, and the passes over one |
+//! | `person_fit`, `window_fit`, `common_shape` | one person's windows, the passes over one, and the shape that all of them say |
 //! | `local_fit`, `pixel_residuals` | runs fitted again; the detector's accuracy |
 //! | `terms`, `objective`, `motion_problem`, `minimisation` | the terms, their list, its sum, the damped Gauss-Newton steps |
 //! | `thinned_motion` | fits to every few frames, from which those between follow |
@@ -32,6 +32,7 @@ mod camera_pose_prior;
 mod camera_priors;
 mod capsule_overlaps;
 mod collision_resolution;
+mod common_shape;
 mod completed_joints;
 mod config;
 mod context;

@@ -1,16 +1,15 @@
 //! The fit of one person's motion, whole or window by window.
 
+use super::common_shape::with_common_shape;
 use super::context::FitContext;
 use super::initial_motion::initial_motion;
 use super::minimisation::FittedMotion;
 use super::observations::Observations;
 use super::pixel_residuals::median_distance_px;
 use super::single_camera::SingleCamera;
-use super::terms::border_priors::ShapePrior;
 use super::terms::unknowns::{MotionState, Shape};
 use super::window_fit::{FittedWindow, Pass, fit_window, stride};
 use crate::body::kinematics::Pose;
-use crate::body::model::Betas;
 use crate::progress::Canceled;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -63,46 +62,44 @@ fn fit_first(
     first: &Range<usize>,
 ) -> Result<FittedMotion, Canceled> {
     let windows = windows(start.poses.len(), context.window_frames());
-    let of_first = fit_window(context, observations, &start, first, Shape::Free, &[Pass::Points, Pass::First])?;
+    let (free, held) = (|pass| (pass, Shape::Free), |pass| (pass, Shape::Held));
+    let of_first = fit_window(context, observations, &start, first, &[Pass::Points, Pass::First].map(free))?;
     let shaped = MotionState { betas: of_first.whole.state.betas, ..start };
     let fit = |w: &Range<usize>| match w == first {
         true => Ok(of_first.clone()),
-        false => fit_window(context, observations, &shaped, w, Shape::Held, &[Pass::Points, Pass::Rough]),
+        false => fit_window(context, observations, &shaped, w, &[Pass::Points, Pass::Rough].map(held)),
     };
     let fitted = windows.par_iter().map(fit).collect::<Result<_, Canceled>>()?;
     Ok(joined(&windows, fitted, context.halo_frames()))
 }
 
-/// Fits all windows at once: averaged frames, where the errors of several cameras have been measured; then a step in which each window
-/// has a shape of its own, and to the end with the shape that all of them say together. From the observations of one window alone, the
-/// best one, joints of 30 to 50 s of realistic noise came 2 to 9 % farther from the truth; from averaged frames, of which the prior
-/// decides more, 8 to 20 %.
+/// Fits all windows, each with a shape of its own, which then makes way for the one that all of them say together.
 fn fit_last(context: &FitContext, observations: &Observations, start: MotionState) -> Result<FittedMotion, Canceled> {
     let windows = windows(start.poses.len(), context.window_frames());
-    let fit_all = |start: &MotionState, shape: Shape, pass: Pass| -> Result<Vec<FittedWindow>, Canceled> {
-        windows.par_iter().map(|window| fit_window(context, observations, start, window, shape, &[pass])).collect()
+    let fit = |window: &Range<usize>| {
+        let with_halo = observations.slice(context.with_halo(window, start.poses.len()));
+        let passes = last_passes(context, &with_halo, windows.len() == 1);
+        fit_window(context, observations, &start, window, &passes)
     };
-    let join = |fits: Vec<FittedWindow>| joined(&windows, fits, context.halo_frames());
-    let averaged_noise = context.averaged_noise.filter(|_| averages(context, observations));
-    // With the shape of a single window held until the end, one step would leave it short of its minimum.
-    let shape = if windows.len() == 1 { Shape::Free } else { Shape::Held };
-    let (started, last) = match averaged_noise {
-        Some(_) => (join(fit_all(&start, shape, Pass::Averaged)?), Pass::Finish),
-        None => (FittedMotion::initial(start), Pass::Last),
-    };
-    let is_near = averaged_noise.is_none_or(|noise| noise.typical().autocorrelation >= SLOW);
-    if windows.len() == 1 && is_near {
-        return Ok(join(fit_all(&started.state, Shape::Free, last)?).after(&started));
-    }
-    let own_shapes = fit_all(&started.state, Shape::Free, Pass::Shape)?;
-    let betas = common_betas(context, &own_shapes).unwrap_or(started.state.betas);
-    let moved = join(own_shapes).after(&started);
-    let shaped = MotionState { betas, ..moved.state.clone() };
-    let fitted = join(fit_all(&shaped, Shape::Held, last)?).after(&moved);
-    Ok(FittedMotion { cost_before: moved.cost_before, ..fitted })
+    let fits = windows.par_iter().map(fit).collect::<Result<_, Canceled>>()?;
+    let fits = with_common_shape(context, observations, fits)?;
+    Ok(joined(&windows, fits, context.halo_frames()))
 }
 
-/// Whether the last fit of a track begins with averaged frames. Where one camera alone shows the person, what guides the fit comes with all
+/// The passes of the last fit of a window and its halo, whose `observations` these are: averaged frames, where the errors of several
+/// cameras have been measured, then what is left for all. With `own_shape` these determine the betas as well; of several windows
+/// those of the best one are held until all frames count: averaged ones say half as much of the bones.
+fn last_passes(context: &FitContext, observations: &Observations, own_shape: bool) -> Vec<(Pass, Shape)> {
+    let averaged = (Pass::Averaged, if own_shape { Shape::Free } else { Shape::Held });
+    let finish = (Pass::Finish, Shape::Free);
+    match context.averaged_noise.filter(|_| averages(context, observations)) {
+        Some(noise) if noise.typical().autocorrelation < SLOW => vec![averaged, finish, finish],
+        Some(_) => vec![averaged, finish],
+        None => vec![(Pass::Last, Shape::Free)],
+    }
+}
+
+/// Whether the last fit of a window begins with averaged frames. Where one camera alone shows the person, what guides the fit comes with all
 /// frames, and steps of averaged ones lead limbs to the wrong side in depth: joints of runners who come into sight and leave it were up
 /// to a third farther off.
 fn averages(context: &FitContext, observations: &Observations) -> bool {
@@ -113,18 +110,6 @@ fn averages(context: &FitContext, observations: &Observations) -> bool {
 /// Least autocorrelation of the errors of averaged frames with which one step leads from there to the end: real and realistic errors have
 /// 0.7 to 0.9. Of white errors (0.3) a frame says much that averages do not; after one step their joints are 0.6 to 1.4 % farther off.
 const SLOW: f64 = 0.5;
-
-/// The betas at which all windows together cost least, each of which costs least at its own `b` and has the prior `P` in its information
-/// `H`, but all of them only once: `(sum H - (n - 1) P)^-1 sum H b`. Windows that took no step, such as those that the person is absent
-/// from, say nothing; `None` where none took one.
-fn common_betas(context: &FitContext, windows: &[FittedWindow]) -> Option<Betas> {
-    let prior = ShapePrior::new(context.config.shape_priors(), context.model).hessian();
-    let says = |FittedWindow { whole, .. }: &FittedWindow| Some((whole.beta_information?, whole.state.betas));
-    let said: Vec<_> = windows.iter().filter_map(says).collect();
-    let information = said.iter().fold(prior, |sum, (of_window, _)| sum + (of_window - prior));
-    let pull: Betas = said.iter().map(|(of_window, betas)| of_window * betas).sum();
-    if said.is_empty() { None } else { Some(information.cholesky()?.solve(&pull)) }
-}
 
 /// Runs of at most `length` frames, their lengths as equal as possible.
 pub(super) fn windows(n_frames: usize, length: usize) -> Vec<Range<usize>> {
@@ -162,14 +147,12 @@ pub(super) fn joined(windows: &[Range<usize>], fits: Vec<FittedWindow>, halo: us
 
 #[cfg(test)]
 mod tests {
-    use super::super::terms::border_priors::BetaInformation;
     use super::super::test_fixtures::{Surroundings, camera_in_front, seen};
     use super::*;
-    use nalgebra::SMatrix;
 
     /// Averaged frames led limbs of runners who come into sight of one camera to the wrong side in depth.
     #[test]
-    fn tracks_with_a_single_camera_are_not_averaged() {
+    fn windows_with_a_single_camera_are_not_averaged() {
         let surroundings = Surroundings::new();
         let shown = |alone: Range<usize>| {
             let frame = |t: usize| (0..if alone.contains(&t) { 1 } else { 2 }).map(|camera| seen(4, camera)).collect();
@@ -178,38 +161,5 @@ mod tests {
         };
         let averages = |alone| averages(&surroundings.context(), &shown(alone));
         assert!(averages(0..0) && averages(50..55) && !averages(0..30));
-    }
-
-    /// The shape of a long take came from its best window alone. Two quadratic costs, each of which has the prior in it: the betas of least
-    /// cost together, with the prior counted once.
-    #[test]
-    fn the_shape_comes_from_all_windows() {
-        let surroundings = Surroundings::new();
-        let context = surroundings.context();
-        let prior = ShapePrior::new(context.config.shape_priors(), context.model).hessian();
-        let data = |k: usize| {
-            let root = SMatrix::<f64, 12, 10>::from_fn(|i, j| ((7 * i + 3 * j * j + 5 * k) % 11) as f64 - 5.0);
-            (root.tr_mul(&root), Betas::from_fn(|i, _| 40.0 - (9 * i + 3 * k) as f64))
-        };
-        let least = |hessian: BetaInformation, pull: Betas| hessian.cholesky().unwrap().solve(&pull);
-        let window = |k: usize| {
-            let (hessian, pull) = data(k);
-            let state = MotionState { betas: least(hessian + prior, pull), poses: Vec::new() };
-            let whole = FittedMotion { beta_information: Some(hessian + prior), ..FittedMotion::initial(state) };
-            FittedWindow { whole, frames: 0..0 }
-        };
-        let ((first, of_first), (second, of_second)) = (data(0), data(1));
-        let expected = least(first + second + prior, of_first + of_second);
-        let absent = || {
-            let state = MotionState { betas: Betas::repeat(9.0), poses: Vec::new() };
-            FittedWindow { whole: FittedMotion::initial(state), frames: 0..0 }
-        };
-        let found = common_betas(&context, &[window(0), absent(), window(1)]).unwrap();
-        assert!((found - expected).norm() < 1e-9, "{found} {expected}");
-        assert_eq!(
-            common_betas(&context, &[absent()]),
-            None,
-            "where the person is absent nothing is said of the shape"
-        );
     }
 }

@@ -2,9 +2,11 @@
 
 use super::config::BodyFitConfig;
 use super::context::FitContext;
-use super::observations::{ErrorShape, PixelObservation, PosedCamera};
+use super::observations::{ErrorShape, Observations, PixelObservation, PosedCamera};
 use crate::body::BodyModel;
 use crate::body::default_body;
+use crate::body::kinematics::{Pose, PosedSkeleton, landmark_position, posed};
+use crate::body::model::Betas;
 use crate::geometry::{Intrinsics, Rigid, rotation};
 use crate::optim::block_banded::SystemPool;
 use crate::progress::Progress;
@@ -62,4 +64,20 @@ pub(super) fn camera_in_front(turn: f64) -> PosedCamera {
 /// A landmark that a camera shows, for tests to which it does not matter where.
 pub(super) fn seen(landmark: usize, camera: usize) -> PixelObservation {
     PixelObservation { landmark, camera, pixel: Vector2::zeros(), scale_px: 1.0, error: ErrorShape::Round }
+}
+
+/// What two cameras detect of a person of average shape, without errors.
+pub(super) fn detected(model: &BodyModel, poses: &[Pose]) -> Observations {
+    let cameras = vec![camera_in_front(0.0), camera_in_front(1.2)];
+    let body = model.shaped(&Betas::zeros());
+    let pixel = |skeleton: &PosedSkeleton, landmark: usize, camera: usize| {
+        let place = cameras[camera].pixel_of(&landmark_position(model, &body, skeleton, landmark));
+        PixelObservation { landmark, camera, pixel: place.unwrap(), scale_px: 400.0, error: ErrorShape::Round }
+    };
+    let frame = |pose: &Pose| {
+        let skeleton = posed(&body, pose);
+        let of_landmark = |landmark| [0, 1].map(|camera| pixel(&skeleton, landmark, camera));
+        (0..model.landmarks.len()).flat_map(of_landmark).collect()
+    };
+    Observations { pixels: poses.iter().map(frame).collect(), points: vec![Vec::new(); poses.len()], cameras }
 }

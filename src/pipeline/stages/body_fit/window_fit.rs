@@ -34,9 +34,7 @@ pub(super) enum Pass {
     First,
     /// Pixels of every few frames that are [`averaged`] over those between, with all terms.
     Averaged,
-    /// Pixels, with all terms, as far as the shape wants it.
-    Shape,
-    /// The same to the end, from the first fit.
+    /// Pixels, with all terms, from the first fit to the end.
     Last,
     /// The same from averaged frames: what single frames say beside these.
     Finish,
@@ -53,16 +51,15 @@ impl Pass {
             Self::Points => Budget { max_iterations: 2, min_decrease: 3e-2, damping: from_rough },
             Self::Rough => Budget { max_iterations, min_decrease: 3e-2, damping: from_rough },
             Self::First => Budget { max_iterations, min_decrease: 3e-3, damping: from_rough },
-            Self::Shape => Budget { max_iterations: 1, min_decrease, damping: from_fit },
             Self::Averaged => Budget { max_iterations: 3, min_decrease, damping: from_fit },
             Self::Last => Budget { max_iterations, min_decrease, damping: from_fit },
             Self::Finish => Budget { max_iterations, min_decrease: FINISHED, damping: from_fit },
         }
     }
 
-    /// Whether it takes all frames, and what other passes leave for the end.
+    /// Whether it takes all frames, and completes gaps.
     fn is_full(self) -> bool {
-        matches!(self, Self::Shape | Self::Last | Self::Finish)
+        matches!(self, Self::Last | Self::Finish)
     }
 
     /// Whether it has the terms of the last fit, under the errors that have been measured.
@@ -95,14 +92,13 @@ impl FittedWindow {
     }
 }
 
-/// Fits a window and its halo in `passes`; to points alone where there are no pixels.
+/// Fits a window and its halo in `passes`, each with the shape free or held; to points alone where there are no pixels.
 pub(super) fn fit_window(
     context: &FitContext,
     observations: &Observations,
     start: &MotionState,
     window: &Range<usize>,
-    shape: Shape,
-    passes: &[Pass],
+    passes: &[(Pass, Shape)],
 ) -> Result<FittedWindow, Canceled> {
     let frames = context.with_halo(window, start.poses.len());
     let observations = observations.slice(frames.clone());
@@ -111,15 +107,13 @@ pub(super) fn fit_window(
     let (mut whole, mut system) = (FittedMotion::initial(state), context.systems.take());
     let passes = match passes {
         _ if has_pixels => passes,
-        // What leads through the window are its points, which the passes after it take.
-        [Pass::Averaged] => &[],
-        _ => &[Pass::Points],
+        _ => &passes.iter().map(|(_, shape)| (Pass::Points, *shape)).take(1).collect::<Vec<_>>(),
     };
-    for pass in passes {
+    for &(pass, shape) in passes {
         let is_rough = has_pixels && !pass.is_full();
         let fitted = match if is_rough { stride(context, &observations) } else { 1 } {
-            1 => fit_pass(context, &observations, whole.state, shape, *pass, &mut system)?,
-            stride => fit_thinned(context, &observations, whole.state, shape, *pass, stride, &mut system)?,
+            1 => fit_pass(context, &observations, whole.state, shape, pass, &mut system)?,
+            stride => fit_thinned(context, &observations, whole.state, shape, pass, stride, &mut system)?,
         };
         whole = FittedMotion { iterations: whole.iterations + fitted.iterations, ..fitted };
     }
@@ -173,9 +167,7 @@ fn fit_pass(
     let pixels = match pass {
         Pass::Points => None,
         Pass::Rough | Pass::First => Some(DetectedPixels::independent(context, observations, &start)),
-        Pass::Averaged | Pass::Shape | Pass::Last | Pass::Finish => {
-            Some(DetectedPixels::new(context, observations, &start))
-        }
+        Pass::Averaged | Pass::Last | Pass::Finish => Some(DetectedPixels::new(context, observations, &start)),
     };
     let data = pixels.as_ref().map_or(DataSource::Points { sigma: config.point_sigma }, DetectedPixels::source);
     let budget = pass.budget(context.config);
@@ -212,9 +204,6 @@ fn fit_pass(
         ..budget
     };
     let fitted = minimised_within(few, Some(&rough), rough.applied_to(start), system)?;
-    if pass == Pass::Shape {
-        return Ok(fitted);
-    }
     let good = completed(&fitted.state, Purpose::FromGood);
     let start = match &good {
         Some(gaps) => on_cheapest_sides(context, observations, gaps, gaps.applied_to(fitted.state)),
@@ -241,10 +230,9 @@ mod tests {
         let observations = Observations { cameras: Vec::new(), points, pixels: vec![Vec::new(); 90] };
         let start = MotionState { betas: Betas::zeros(), poses };
         let fitted = |pass| {
-            let window = fit_window(&surroundings.context(), &observations, &start, &(0..90), Shape::Held, &[pass]);
+            let window = fit_window(&surroundings.context(), &observations, &start, &(0..90), &[(pass, Shape::Held)]);
             window.unwrap().whole
         };
-        assert_eq!(fitted(Pass::Averaged), FittedMotion::initial(start.clone()));
         assert_ne!(fitted(Pass::Finish).state, start);
     }
 }
