@@ -6,7 +6,6 @@ use super::initial_motion::initial_motion;
 use super::minimisation::FittedMotion;
 use super::observations::Observations;
 use super::pixel_residuals::median_distance_px;
-use super::single_camera::SingleCamera;
 use super::terms::unknowns::{MotionState, Shape};
 use super::window_fit::{FittedWindow, Pass, fit_window, stride};
 use crate::body::kinematics::Pose;
@@ -92,19 +91,11 @@ fn fit_last(context: &FitContext, observations: &Observations, start: MotionStat
 fn last_passes(context: &FitContext, observations: &Observations, own_shape: bool) -> Vec<(Pass, Shape)> {
     let averaged = (Pass::Averaged, if own_shape { Shape::Free } else { Shape::Held });
     let finish = (Pass::Finish, Shape::Free);
-    match context.averaged_noise.filter(|_| averages(context, observations)) {
+    match context.averaged_noise.filter(|_| stride(context, observations) > 1) {
         Some(noise) if noise.typical().autocorrelation < SLOW => vec![averaged, finish, finish],
         Some(_) => vec![averaged, finish],
         None => vec![(Pass::Last, Shape::Free)],
     }
-}
-
-/// Whether the last fit of a window begins with averaged frames. Where one camera alone shows the person, what guides the fit comes with all
-/// frames, and steps of averaged ones lead limbs to the wrong side in depth: joints of runners who come into sight and leave it were up
-/// to a third farther off.
-fn averages(context: &FitContext, observations: &Observations) -> bool {
-    let is_open = || SingleCamera::new(context.model, observations, context.frame_interval).open_frames();
-    stride(context, observations) > 1 && !is_open().contains(&true)
 }
 
 /// Least autocorrelation of the errors of averaged frames with which one step leads from there to the end: real and realistic errors have
@@ -142,24 +133,5 @@ pub(super) fn joined(windows: &[Range<usize>], fits: Vec<FittedWindow>, halo: us
         beta_information: None,
         median_reprojection_px: None,
         state: MotionState { betas: fits[0].whole.state.betas, poses },
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::test_fixtures::{Surroundings, camera_in_front, seen};
-    use super::*;
-
-    /// Averaged frames led limbs of runners who come into sight of one camera to the wrong side in depth.
-    #[test]
-    fn windows_with_a_single_camera_are_not_averaged() {
-        let surroundings = Surroundings::new();
-        let shown = |alone: Range<usize>| {
-            let frame = |t: usize| (0..if alone.contains(&t) { 1 } else { 2 }).map(|camera| seen(4, camera)).collect();
-            let cameras = vec![camera_in_front(0.0), camera_in_front(1.2)];
-            Observations { cameras, points: vec![Vec::new(); 120], pixels: (0..120).map(frame).collect() }
-        };
-        let averages = |alone| averages(&surroundings.context(), &shown(alone));
-        assert!(averages(0..0) && averages(50..55) && !averages(0..30));
     }
 }
