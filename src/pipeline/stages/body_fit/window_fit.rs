@@ -68,9 +68,9 @@ impl Pass {
     }
 }
 
-/// A step from averaged frames that lowers the cost by a smaller share is the last where nothing is completed or guided; the first lowers it by 12 to 24 % under slow errors, by
-/// 3 % under white ones. With a second joints of realistic noise come 0.5 % worse, and single errors of frames show in the motion: jitter
-/// is 2 % more.
+/// A step from averaged frames that lowers the cost by a smaller share is the last where nothing is completed or guided; the first lowers
+/// it by 12 to 24 % under slow errors, by 3 % under white ones. With a second joints of realistic noise come 0.5 % worse, and single errors
+/// of frames show in the motion: jitter is 2 % more.
 const FINISHED: f64 = 0.3;
 
 /// Most steps of the last pass before gaps are completed again: with four, joints come out the same to 0.1 % on 131 captures, hidden ones
