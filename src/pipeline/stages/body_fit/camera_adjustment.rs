@@ -105,7 +105,7 @@ pub(super) fn correlated_errors(
             Member::new(averaged, fit, 0..observations.pixels.len(), stride)
         };
         let mut adjusted: Vec<Member> = started.iter().flatten().map(spread).collect();
-        let thinned = FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context };
+        let thinned = context.thinned(stride);
         if !stride.is_multiple_of(rough_stride) {
             // Frames between those of the first fits do not show the detector's errors before they have settled.
             settle(&thinned, &mut adjusted)?;

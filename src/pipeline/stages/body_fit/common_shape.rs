@@ -51,11 +51,10 @@ fn with_betas(
     context.progress.check()?;
     let stride = rough_stride(context.frame_interval);
     let observations = observations.thinned(frames.clone(), stride);
+    let few = whole.state.thinned(0..frames.len(), stride);
     let MotionState { betas: own, mut poses } = whole.state;
-    let few = MotionState { betas: own, poses: poses.iter().step_by(stride).copied().collect() };
     let noise = context.noise.map(|noise| noise.thinned(stride));
-    let frame_interval = stride as f64 * context.frame_interval;
-    let context = FitContext { frame_interval, noise: noise.as_ref(), ..*context };
+    let context = FitContext { noise: noise.as_ref(), ..context.thinned(stride) };
     let pixels = DetectedPixels::new(&context, &observations, &few);
     let objective = Objective::new(&context, context.config, &observations, pixels.source(), Shape::Free);
     let problem = Objective { speeds: Some(&few), ..objective }.problem();

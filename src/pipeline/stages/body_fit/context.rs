@@ -46,6 +46,11 @@ impl FitContext<'_> {
         window.start.saturating_sub(halo)..(window.end + halo).min(n_frames)
     }
 
+    /// That of a fit to every `stride`-th frame.
+    pub(super) fn thinned(&self, stride: usize) -> Self {
+        Self { frame_interval: stride as f64 * self.frame_interval, ..*self }
+    }
+
     /// Whether the motion prior refines a first fit.
     pub(super) fn has_refinement(&self) -> bool {
         self.config.motion_prior && !self.first_config.motion_prior

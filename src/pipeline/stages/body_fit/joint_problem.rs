@@ -294,9 +294,7 @@ impl Member {
 
     /// The same; `observations`: at these frames.
     pub(super) fn new(observations: Observations, started: &StartedMotion, run: Range<usize>, stride: usize) -> Self {
-        let fitted = &started.fitted.state;
-        let poses = fitted.poses[run.clone()].iter().step_by(stride).copied().collect();
-        let state = MotionState { betas: fitted.betas, poses };
+        let state = started.fitted.state.thinned(run.clone(), stride);
         Self { run, stride, observations, state, bones: BoneOffsets::default(), betas_alone: None }
     }
 

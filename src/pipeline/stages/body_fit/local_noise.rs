@@ -83,7 +83,7 @@ pub(super) fn local_noise(
         Member::of(observations, fit, 0..observations.pixels.len(), stride)
     };
     let members: Vec<Member> = started.iter().flatten().map(member).collect();
-    let context = FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context };
+    let context = context.thinned(stride);
     let channels = channels(&context, &members);
     let process = LevelProcess::of(channels.iter().flatten());
     let levels = |channels: Vec<Channel>| Levels::new(&process, channels, n_cameras, stride);

@@ -36,6 +36,9 @@ pub(super) fn start_motion(
 }
 
 /// Fits the whole track again where the model or the settings have changed since the first fit, or where that left frames out.
+///
+/// A single camera leaves depth open, and steps that lower the cost spend it on the detector's errors: after the last fit joints of takes
+/// of realistic noise were 7 to 11 % farther off than after the first (30 of 30 s, 32 of 10 s).
 pub(super) fn finish_motion(
     context: &FitContext,
     observations: &Observations,
@@ -44,7 +47,8 @@ pub(super) fn finish_motion(
 ) -> Result<FittedMotion, Canceled> {
     let StartedMotion { window, mut fitted } = started;
     let is_rough = window.len() < fitted.state.poses.len() || stride(context, observations) > 1;
-    if has_model_changed || context.has_refinement() || is_rough {
+    let has_several_cameras = observations.cameras.len() > 1;
+    if has_several_cameras && (has_model_changed || context.has_refinement() || is_rough) {
         let first_iterations = fitted.iterations;
         fitted = fit_last(context, observations, fitted.state)?;
         fitted.iterations += first_iterations;
@@ -133,5 +137,31 @@ pub(super) fn joined(windows: &[Range<usize>], fits: Vec<FittedWindow>, halo: us
         beta_information: None,
         median_reprojection_px: None,
         state: MotionState { betas: fits[0].whole.state.betas, poses },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::test_fixtures::{Surroundings, detected};
+    use super::*;
+    use crate::body::model::Betas;
+    use nalgebra::Vector3;
+
+    /// The last fit of long takes led joints that one camera alone shows farther from where they are.
+    #[test]
+    fn the_first_fit_of_a_single_view_is_the_last() {
+        let surroundings = Surroundings::new();
+        let of_two = detected(&surroundings.model, &[Pose::rest(); 40]);
+        let mut of_one = of_two.clone();
+        of_one.cameras.truncate(1);
+        of_one.pixels.iter_mut().for_each(|frame| frame.retain(|pixel| pixel.camera == 0));
+        let moved = Pose { translation: Vector3::new(0.01, 0.0, 0.0), ..Pose::rest() };
+        let first = MotionState { betas: Betas::zeros(), poses: vec![moved; 40] };
+        let finished = |observations: &Observations| {
+            let started = StartedMotion { fitted: FittedMotion::initial(first.clone()), window: 0..20 };
+            finish_motion(&surroundings.context(), observations, started, true).unwrap().state
+        };
+        assert_eq!(finished(&of_one), first);
+        assert_ne!(finished(&of_two), first);
     }
 }

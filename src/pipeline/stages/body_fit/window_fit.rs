@@ -105,10 +105,8 @@ pub(super) fn fit_window(
     let state = start.of(&frames);
     let has_pixels = observations.pixels.iter().any(|frame| !frame.is_empty());
     let (mut whole, mut system) = (FittedMotion::initial(state), context.systems.take());
-    let passes = match passes {
-        _ if has_pixels => passes,
-        _ => &passes.iter().map(|(_, shape)| (Pass::Points, *shape)).take(1).collect::<Vec<_>>(),
-    };
+    let to_points = passes.first().map(|(_, shape)| (Pass::Points, *shape));
+    let passes = if has_pixels { passes } else { to_points.as_slice() };
     for &(pass, shape) in passes {
         let is_rough = has_pixels && !pass.is_full();
         let fitted = match if is_rough { stride(context, &observations) } else { 1 } {
@@ -142,10 +140,9 @@ fn fit_thinned(
         Pass::Averaged => averaged(context.model, observations, &start, stride),
         _ => observations.thinned(0..observations.pixels.len(), stride),
     };
-    let noise = context.averaged_noise;
-    let context = FitContext { frame_interval: stride as f64 * context.frame_interval, noise, ..*context };
-    let MotionState { betas, mut poses } = start;
-    let few = MotionState { betas, poses: poses.iter().step_by(stride).copied().collect() };
+    let context = FitContext { noise: context.averaged_noise, ..context.thinned(stride) };
+    let few = start.thinned(0..start.poses.len(), stride);
+    let mut poses = start.poses;
     let fitted = fit_pass(&context, &thinned, few, shape, pass, system)?;
     match pass {
         Pass::Averaged => carry_along(&mut poses, &fitted.state.poses, stride),

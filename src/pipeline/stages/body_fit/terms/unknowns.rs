@@ -22,7 +22,12 @@ pub(crate) struct MotionState {
 impl MotionState {
     /// The motion in some of its frames.
     pub(crate) fn of(&self, frames: &Range<usize>) -> Self {
-        Self { betas: self.betas, poses: self.poses[frames.clone()].to_vec() }
+        self.thinned(frames.clone(), 1)
+    }
+
+    /// The motion in every `stride`-th of some of its frames.
+    pub(crate) fn thinned(&self, frames: Range<usize>, stride: usize) -> Self {
+        Self { betas: self.betas, poses: self.poses[frames].iter().step_by(stride).copied().collect() }
     }
 }
 
