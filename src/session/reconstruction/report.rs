@@ -190,7 +190,7 @@ pub struct PersonReport {
     pub hands: Vec<HandReport>,
 }
 
-/// Successive frames of at least a second in which half of a person's joints are uncertain by more than
+/// Successive frames of at least half a second in which half of a person's joints are uncertain by more than
 /// [`BOUND_MM`](Self::BOUND_MM): mostly where a single camera shows the person, or none.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct UncertainFrames {

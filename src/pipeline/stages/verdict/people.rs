@@ -11,6 +11,9 @@ const IN_TWO_VIEWS: Bounds = Bounds { warn: 0.6, reject: 0.2 };
 /// Median standard deviation of a person's keypoints in space, mm. Four cameras all around and a detector of 20 mm give 22.
 const SIGMA_MM: Bounds = Bounds { warn: UncertainFrames::BOUND_MM, reject: 250.0 };
 
+/// Shortest stretch of uncertain frames that is warned of, s; shorter ones do not put a whole recording in doubt, and are only listed.
+const UNCERTAIN_SECS: f64 = 1.0;
+
 /// Share of a keypoint's detections that contradict the result: outliers of detectors are 0.05, hidden keypoints 0.3.
 const REJECTED_WARN: f64 = 0.4;
 
@@ -37,7 +40,7 @@ pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
         [
             hardly_seen(person),
             uncertain(person),
-            uncertain_for_a_while(person),
+            uncertain_for_a_while(person, input.fps),
             never_shown(person),
             contradicted(person),
             stretching(person),
@@ -90,9 +93,13 @@ fn uncertain(person: &PersonReport) -> Option<Reason> {
     Some(Reason { verdict, text })
 }
 
-/// The longest stretch of uncertain frames, with the number of the others.
-fn uncertain_for_a_while(person: &PersonReport) -> Option<Reason> {
-    let longest = person.uncertain_frames.iter().max_by_key(|stretch| stretch.last_frame - stretch.first_frame)?;
+/// The longest stretch of uncertain frames, with the number of the others; none where all are short, which the report lists.
+fn uncertain_for_a_while(person: &PersonReport, fps: f64) -> Option<Reason> {
+    let n_frames = |stretch: &&UncertainFrames| stretch.last_frame - stretch.first_frame + 1;
+    let longest = person.uncertain_frames.iter().max_by_key(n_frames)?;
+    if (n_frames(&longest) as f64) < UNCERTAIN_SECS * fps {
+        return None;
+    }
     let UncertainFrames { first_frame, last_frame, joint_sigma_mm, cameras } = longest;
     let shown_by = match cameras.as_slice() {
         [] => "no camera shows".to_owned(),
