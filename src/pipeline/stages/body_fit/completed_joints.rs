@@ -2,6 +2,7 @@
 
 use super::terms::unknowns::MotionState;
 use crate::body::kinematics::Pose;
+use crate::body::skeleton::chain_to_root;
 use crate::motion_prior::observed::SPINE;
 use crate::residuals::rotation_likelihood::RotationGaussian;
 
@@ -44,8 +45,30 @@ impl GapCompletion {
         !SPINE.contains(&joint) && self.hidden.get(frame).is_some_and(is_completed)
     }
 
+    /// Whether no keypoint shows a joint between the root and this one, so that it lies where the completion has it.
+    pub(super) fn hides_before(&self, frame: usize, joint: usize) -> bool {
+        chain_to_root(joint).skip(1).any(|ancestor| self.hides(frame, ancestor))
+    }
+
     /// By frame: the completed joints.
     pub(super) fn completed_joints(&self) -> Vec<Vec<usize>> {
         self.hidden.iter().map(|joints| joints.iter().map(|(joint, _)| *joint).collect()).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Matrix3;
+
+    /// A hidden left elbow and a hidden spine.
+    #[test]
+    fn joints_behind_hidden_ones_lie_where_these_are_completed() {
+        let vague = RotationGaussian { mean: Matrix3::identity(), precision: Matrix3::zeros() };
+        let completion =
+            GapCompletion { hidden: vec![vec![(18, vague), (SPINE[0], vague)]], guided: vec![vec![(17, vague)]] };
+        let behind: Vec<usize> = (0..24).filter(|joint| completion.hides_before(0, *joint)).collect();
+        assert_eq!(behind, [20, 22], "wrist and hand");
+        assert!(!completion.hides_before(1, 20), "a frame of which nothing is stated");
     }
 }

@@ -43,6 +43,11 @@ use nalgebra::{DMatrix, Matrix3};
 use rayon::prelude::*;
 use std::ops::Range;
 
+/// Variance of joints that no camera shows over that of smoothness and motion prior, which state each frame's accelerations and each joint
+/// of a limb as independent: of 112 gaps of 15 to 90 frames 86 % of the errors lay inside the stated 95 % ellipsoids without it, 90 % with
+/// 1.5 and 92 % with this.
+const HIDDEN: f64 = 2.0;
+
 /// How sure a person's motion and shape are.
 pub(super) struct MotionUncertainty {
     /// By frame of the motion.
@@ -124,13 +129,17 @@ fn window_uncertainty(
         let of_sides = alone.mirrored_variances(t, &skeleton);
         let of_unseen = unseen.as_ref().map_or([0.0; N_JOINTS], |limbs| limbs.variances(&state.poses[t], &skeleton));
         let of_sharing = if alone.shows_person(t) { shared } else { 1.0 };
+        let of_gap = |joint: usize| {
+            let is_behind = completion.is_some_and(|completion| completion.hides_before(t, joint));
+            if is_behind { HIDDEN } else { 1.0 }
+        };
         let mut by_cameras = Vec::with_capacity(N_JOINTS);
         for joint in 0..N_JOINTS {
             let rows = by_border.fixed_rows::<3>(3 * joint);
             let of_bones = BONE_SIGMA * BONE_SIGMA * rows.columns_range(border.bones()).norm_squared();
             let of_definition = 3.0 * definition_sigma(joint).powi(2);
             by_cameras.push((skeleton.joints[joint], rows.columns_range(border.camera_columns()).into_owned()));
-            let of_errors = errors * (of_sharing * of_pose[joint] + of_shape[joint]);
+            let of_errors = errors * (of_sharing * of_gap(joint) * of_pose[joint] + of_shape[joint]);
             sigmas[t][joint] = of_errors + of_sides[joint] + of_unseen[joint] + of_bones + of_definition;
         }
         let of_cameras = cameras.map_or_else(|| vec![0.0; N_JOINTS], |cameras| cameras.point_variances(&by_cameras));
