@@ -51,7 +51,7 @@ pub(super) fn estimated_bias(
         let run = observations.most_seen(started.window.clone(), n_frames);
         Member::of(observations, started, run, stride)
     };
-    let thinned = FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context };
+    let thinned = context.thinned(stride);
     let members = started.iter().map(member).collect();
     let Some(evidence) = evidence_of(&table, members, &thinned)? else { return Ok(None) };
     let Some(found) = likeliest_bias(&evidence, &table) else { return Ok(None) };

@@ -38,7 +38,7 @@ impl Shown {
     }
 }
 
-/// By frame, the cameras that show a person and each of [`BONES`] within [`SAME_SIDE_SECS`].
+/// By frame, the cameras that show a person and each of [`BONES`] within [`SAME_SIDE_SECS`]; of a session of several cameras.
 pub(super) struct SingleCamera<'a> {
     frames: Vec<(Shown, [Shown; BONES.len()])>,
     cameras: &'a [PosedCamera],
@@ -75,23 +75,23 @@ impl<'a> SingleCamera<'a> {
         matches!(self.frames[frame].0, Shown::By(_))
     }
 
-    /// Runs of frames in which one camera alone shows the person, with that camera; none in a session of a single camera.
+    /// Runs of frames in which one camera alone shows the person, with that camera.
     pub(super) fn stretches(&self) -> Vec<(usize, Range<usize>)> {
         let mut start = 0;
         let mut found = Vec::new();
         for run in self.frames.chunk_by(|(a, _), (b, _)| a == b) {
             let frames = start..start + run.len();
             start = frames.end;
-            if let (Shown::By(camera), true) = (run[0].0, self.cameras.len() > 1) {
+            if let Shown::By(camera) = run[0].0 {
                 found.push((camera, frames));
             }
         }
         found
     }
 
-    /// By frame, whether fewer than two cameras show the person; nowhere in a session of a single camera.
+    /// By frame, whether fewer than two cameras show the person.
     pub(super) fn open_frames(&self) -> Vec<bool> {
-        self.frames.iter().map(|(person, _)| self.cameras.len() > 1 && *person != Shown::BySeveral).collect()
+        self.frames.iter().map(|(person, _)| *person != Shown::BySeveral).collect()
     }
 
     /// Whether one camera alone shows the bone that a joint turns.
