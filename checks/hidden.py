@@ -200,6 +200,8 @@ def table(arguments):
                 cells.append(f"{found:.1f}, root {of(run, 'root_mm'):.1f}, {inside:.0f}, same {same}, there {there:.0f}")
         print(f"{kind} | {length} | {len(names)} | {baseline and round(baseline, 1)} |", " | ".join(cells))
     for run, values in zip(arguments.captures, pooled):
+        if not values:
+            continue
         found, baseline, inside = np.nanmean(np.array(values), axis=0)
         print(f"pooled {run}: {found:.1f} of {baseline:.1f} mm, {found / baseline:.3f}; inside {100 * inside:.0f} %")
 

@@ -4,7 +4,7 @@ use super::calibration::{Calibration, TrackedPeople};
 use super::capture::Capture;
 use super::config::{Extrinsics, IntrinsicsMode, MotionPriorMode, Options};
 use super::error::PipelineError;
-use super::focal_lengths::FocalLengths;
+use super::focal_lengths::{FocalLengths, sigma_angle_by_principal_point};
 use super::stages::association::identities;
 use super::stages::body_fit::{
     BodyFitConfig, FittedBodies, KnownCameras, fit_bodies, fitted_statures, landmark_trajectory,
@@ -276,6 +276,10 @@ impl Solution {
     fn solved_cameras(&self, session: &Session, statistics: &FitStatistics) -> Vec<SolvedCamera> {
         let adjusted = self.calibration.adjusted.as_ref();
         let is_void = |v: usize| self.suspicions.iter().any(|s| s.voids_uncertainty_of(&session.views[v].id));
+        let by_lens = |v: usize| {
+            let view = &session.views[v];
+            if view.has_intrinsics { 0.0 } else { sigma_angle_by_principal_point(&view.intrinsics) }
+        };
         let uncertainty = |v: usize| adjusted.and_then(|a| a.cameras[v].uncertainty).filter(|_| !is_void(v));
         self.calibration
             .cameras
@@ -288,7 +292,7 @@ impl Solution {
                     reprojection_px,
                     n_observations,
                     sigma_position_mm: uncertainty(v).map(|u| 1e3 * u.sigma_position * self.metres_per_unit),
-                    sigma_angle_deg: uncertainty(v).map(|u| u.sigma_angle.to_degrees()),
+                    sigma_angle_deg: uncertainty(v).map(|u| u.sigma_angle.hypot(by_lens(v)).to_degrees()),
                     time_offset: None,
                     focal_factor: None,
                 }

@@ -59,14 +59,13 @@ impl CameraPriors {
     /// Adds gradient and Hessian; the unknowns of the cameras begin at `first`.
     pub(super) fn add_to(&self, cameras: &[PosedCamera], first: usize, corner: &mut Corner) {
         if let Some(prior) = &self.poses {
-            let n = self.columns(cameras.len()).unknowns.len();
-            for (camera, gradient) in prior.gradients(cameras).iter().enumerate() {
-                for (k, precision) in CameraPosePrior::precisions().into_iter().enumerate() {
-                    let at = first + n * camera + k;
-                    corner.gradient[at] += self.overcount * gradient[k];
-                    corner.hessian[(at, at)] += self.overcount * precision;
-                }
+            let gradients = prior.gradients(cameras).into_iter().flat_map(<[f64; POSE]>::from);
+            for (at, gradient) in self.pose_columns(cameras.len()).zip(gradients) {
+                corner.gradient[first + at] += self.overcount * gradient;
             }
+            let precisions = self.precisions_of_poses(cameras.len());
+            let mut hessian = corner.hessian.view_mut((first, first), precisions.shape());
+            hessian += precisions;
         }
         if let Some(prior) = &self.focal {
             let precision = prior.precision() * self.overcount;
@@ -79,6 +78,23 @@ impl CameraPriors {
                 }
             }
         }
+    }
+
+    /// Hessian of the prior of the poses, zero without one.
+    pub(super) fn precisions_of_poses(&self, n_cameras: usize) -> DMatrix<f64> {
+        let n = self.columns(n_cameras).len();
+        let mut hessian = DMatrix::zeros(n, n);
+        if self.poses.is_some() {
+            let precisions = CameraPosePrior::precisions().into_iter().cycle();
+            self.pose_columns(n_cameras).zip(precisions).for_each(|(at, p)| hessian[(at, at)] = self.overcount * p);
+        }
+        hessian
+    }
+
+    /// Columns of the poses' increments among those of the cameras.
+    fn pose_columns(&self, n_cameras: usize) -> impl Iterator<Item = usize> + use<> {
+        let n = self.columns(n_cameras).unknowns.len();
+        (0..n_cameras).flat_map(move |camera| n * camera..n * camera + POSE)
     }
 
     /// Columns of the focal factors' logarithms among those of the cameras.

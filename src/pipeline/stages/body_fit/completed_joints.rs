@@ -45,6 +45,11 @@ impl GapCompletion {
         !SPINE.contains(&joint) && self.hidden.get(frame).is_some_and(is_completed)
     }
 
+    /// Whether no keypoint shows the person in a frame.
+    pub(super) fn hides_person(&self, frame: usize) -> bool {
+        self.hides(frame, 0)
+    }
+
     /// Whether no keypoint shows a joint between the root and this one, so that it lies where the completion has it.
     pub(super) fn hides_before(&self, frame: usize, joint: usize) -> bool {
         chain_to_root(joint).skip(1).any(|ancestor| self.hides(frame, ancestor))
@@ -70,5 +75,7 @@ mod tests {
         let behind: Vec<usize> = (0..24).filter(|joint| completion.hides_before(0, *joint)).collect();
         assert_eq!(behind, [20, 22], "wrist and hand");
         assert!(!completion.hides_before(1, 20), "a frame of which nothing is stated");
+        let without_root = GapCompletion { hidden: vec![vec![(0, vague)]], guided: Vec::new() };
+        assert!(without_root.hides_person(0) && !completion.hides_person(0));
     }
 }
