@@ -191,7 +191,7 @@ mod tests {
         assert_eq!(assigned(&[vec![body, leg]], vec![vec![None]]), [None]);
     }
 
-    /// Of 30 people all 180 candidates were matched at once, which took two thirds of the solve.
+    /// Of 30 people all 180 candidates were matched at once, which took nearly half of the solve.
     #[test]
     fn people_without_a_common_candidate_are_matched_apart() {
         let candidates = [vec![0, 3], vec![], vec![1], vec![3, 4], vec![2]];
