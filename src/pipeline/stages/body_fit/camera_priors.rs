@@ -63,7 +63,8 @@ impl CameraPriors {
             for (at, gradient) in self.pose_columns(cameras.len()).zip(gradients) {
                 corner.gradient[first + at] += self.overcount * gradient;
             }
-            let precisions = self.precisions_of_poses(cameras.len());
+        }
+        if let Some(precisions) = self.precisions_of_poses(cameras.len()) {
             let mut hessian = corner.hessian.view_mut((first, first), precisions.shape());
             hessian += precisions;
         }
@@ -80,15 +81,14 @@ impl CameraPriors {
         }
     }
 
-    /// Hessian of the prior of the poses, zero without one.
-    pub(super) fn precisions_of_poses(&self, n_cameras: usize) -> DMatrix<f64> {
+    /// Hessian of the prior of the poses by the unknowns of the cameras, all of which are then free.
+    pub(super) fn precisions_of_poses(&self, n_cameras: usize) -> Option<DMatrix<f64>> {
+        self.poses.as_ref()?;
         let n = self.columns(n_cameras).len();
         let mut hessian = DMatrix::zeros(n, n);
-        if self.poses.is_some() {
-            let precisions = CameraPosePrior::precisions().into_iter().cycle();
-            self.pose_columns(n_cameras).zip(precisions).for_each(|(at, p)| hessian[(at, at)] = self.overcount * p);
-        }
-        hessian
+        let precisions = CameraPosePrior::precisions().into_iter().cycle();
+        self.pose_columns(n_cameras).zip(precisions).for_each(|(at, p)| hessian[(at, at)] = self.overcount * p);
+        Some(hessian)
     }
 
     /// Columns of the poses' increments among those of the cameras.

@@ -11,7 +11,8 @@
 //! show, and bones may be mirrored in depth ([`super::single_camera`]). What bodies define differently is added. `f = n / (n - p)`: n
 //! equations a frame determine p unknowns, and leave residuals, by which errors are measured, smaller than these. What no view sees is
 //! as uncertain as smoothness and the pose prior leave it, a limb that the whole window does not show as poses are
-//! ([`super::unseen_limbs`]); behind joints that are hidden for a while `J Z J^T` counts [`HIDDEN`] times, of absent people [`ABSENT`] times as often. Collision resolution is left out.
+//! ([`super::unseen_limbs`]); behind joints that are hidden for a while `J Z J^T` counts [`HIDDEN`] times, of absent people [`ABSENT`]
+//! times as often. Collision resolution is left out.
 //!
 //! Standard deviations change no faster than poses: they are those of every few frames, whose pixels count for those of the frames
 //! between, and linear between them.

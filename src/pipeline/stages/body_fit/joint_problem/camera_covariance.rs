@@ -21,7 +21,6 @@
 //! `c^2 P`, and by what it holds fewer directions are left to the channels. Without it cameras of realistic noise (`extrinsics: refine`,
 //! 15 captures) were 1.13 and 1.09 times their stated deviations off; now they are 0.99 and 1.00.
 
-use super::super::camera_priors::CameraPriors;
 use super::super::pixel_residuals::{DetectedPixels, shared_error_variance, variance_per_residual};
 use super::super::session_state::SessionState;
 use super::super::terms::landmark_jacobian::{LandmarkJacobian, LinearLandmarks};
@@ -66,22 +65,18 @@ impl JointProblem<'_> {
             channels.iter().for_each(|score| spread.ger(design * followed, score, score, 1.0));
         }
         let inverse_hessian = reduced.factor.inverse();
-        let of_prior = self.prior_of_poses(basis, members.first()?.observations.cameras.len());
-        let n_determined = n_free as f64 - inverse_hessian.component_mul(&of_prior).sum();
-        let n_left = n_independent - n_determined;
+        let n_cameras = members.first()?.observations.cameras.len();
+        let prior = self.cameras.and_then(|priors| Some((priors.precisions_of_poses(n_cameras)?, priors.overcount)));
+        let n_given = prior.as_ref().map_or(0.0, |(of_prior, _)| inverse_hessian.component_mul(of_prior).sum());
+        let n_left = n_independent - (n_free as f64 - n_given);
         if n_left <= 0.0 {
             return None;
         }
         spread *= n_independent / n_left;
-        spread += of_prior * self.cameras.map_or(1.0, |priors| priors.overcount);
+        if let Some((of_prior, overcount)) = prior {
+            spread += of_prior * overcount;
+        }
         Some(CameraSpread { basis: basis.clone(), inverse_hessian, scores: spread })
-    }
-
-    /// Hessian of the prior of the poses, by the free directions.
-    fn prior_of_poses(&self, basis: &DMatrix<f64>, n_cameras: usize) -> DMatrix<f64> {
-        let n = basis.ncols();
-        let of_priors = |priors: &CameraPriors| basis.tr_mul(&(priors.precisions_of_poses(n_cameras) * basis));
-        self.cameras.map_or_else(|| DMatrix::zeros(n, n), of_priors)
     }
 
     /// All persons' landmarks as they follow the free directions of the session, and `n_samples` of their errors.
