@@ -2,10 +2,11 @@
 
 use crate::service::store::StoreError;
 use serde::{Deserialize, Serialize};
-use sqlx::{FromRow, SqlitePool};
+use sqlx::sqlite::SqliteRow;
+use sqlx::{FromRow, Row, SqlitePool};
 
 /// One file below a data folder.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, FromRow)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub(super) struct NamedFile {
     /// Path below the data folder, with `/`.
     pub(super) name: String,
@@ -14,6 +15,12 @@ pub(super) struct NamedFile {
     /// Id of the owner, `session_…` or `job_…`, or `bodies`; empty for the database itself.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub(super) owner: String,
+}
+
+impl FromRow<'_, SqliteRow> for NamedFile {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        Ok(Self { name: row.try_get("name")?, sha256: row.try_get("sha256")?, owner: row.try_get("owner")? })
+    }
 }
 
 /// Lists all uploads and published files, sorted by name.

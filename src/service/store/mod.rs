@@ -10,6 +10,7 @@ pub mod folders;
 pub mod keys;
 pub mod listing;
 mod log;
+mod migrations;
 mod open;
 pub(crate) mod pages;
 #[cfg(feature = "scale")]

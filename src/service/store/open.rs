@@ -52,7 +52,7 @@ impl Store {
         if self.is_shared() {
             return super::postgres::newest_migration();
         }
-        super::schema::MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
+        super::migrations::SQLITE.iter().map(|migration| migration.version).max().unwrap_or(0)
     }
 
     pub(super) async fn connect(settings: &Settings, folders: Folders) -> Result<Self, StoreError> {

@@ -1,22 +1,35 @@
 //! Files of a result on the disk: listed, hashed and synced once.
 
+use super::sql::SqlRow;
 use sha2::{Digest, Sha256};
+use sqlx::{FromRow, Row};
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
 /// One published file.
-#[derive(Debug, Clone, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Artifact {
     /// Path below the result folder, with `/`.
     pub name: String,
     /// Media type.
     pub media_type: String,
     /// Size, bytes.
-    #[sqlx(try_from = "i64")]
     pub bytes: u64,
     /// SHA-256, hex.
     pub sha256: String,
+}
+
+impl FromRow<'_, SqlRow> for Artifact {
+    fn from_row(row: &SqlRow) -> sqlx::Result<Self> {
+        let bytes = u64::try_from(row.try_get::<i64, _>("bytes")?);
+        Ok(Self {
+            name: row.try_get("name")?,
+            media_type: row.try_get("media_type")?,
+            bytes: bytes.map_err(|error| sqlx::Error::Decode(error.into()))?,
+            sha256: row.try_get("sha256")?,
+        })
+    }
 }
 
 /// Lists a result folder: hashes every file, syncs files and folders, and sorts by name.

@@ -3,16 +3,14 @@
 
 use super::error::StoreError;
 use super::folders::{Folders, publish};
-use super::private;
+use super::{migrations, private};
 use crate::service::failpoint::failpoint;
-use sqlx::migrate::{Migrate, MigrateError, Migrator};
+use sqlx::migrate::{Migrate, MigrateError};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{ConnectOptions, Connection};
 use std::fs::File;
 use std::io;
 use std::path::Path;
-
-pub(super) static MIGRATIONS: Migrator = sqlx::migrate!("./migrations/sqlite");
 
 /// Endings of the files that SQLite keeps beside a database.
 const COMPANIONS: [&str; 3] = ["-journal", "-wal", "-shm"];
@@ -22,7 +20,7 @@ const COMPANIONS: [&str; 3] = ["-journal", "-wal", "-shm"];
 /// # Errors
 /// [`StoreError::Newer`] for a database of a later release, [`StoreError::Migration`] for a failed statement.
 pub(super) async fn migrate(database: &mut impl Migrate) -> Result<(), StoreError> {
-    MIGRATIONS.run_direct(None, database, false).await.map_err(|error| match error {
+    migrations::SQLITE.run_direct(None, database, false).await.map_err(|error| match error {
         MigrateError::VersionMissing(migration) => StoreError::Newer { migration },
         other => StoreError::Migration(other),
     })

@@ -5,10 +5,10 @@
 //! holds either.
 
 #[cfg(feature = "scale")]
-use sqlx::Any as Db;
+pub(crate) use sqlx::Any as Db;
 use sqlx::Database;
 #[cfg(not(feature = "scale"))]
-use sqlx::Sqlite as Db;
+pub(crate) use sqlx::Sqlite as Db;
 use sqlx::query::Query;
 use sqlx::{AssertSqlSafe, Pool, Transaction};
 

@@ -3,14 +3,14 @@
 use super::database::{Store, WriteTransaction};
 use super::error::StoreError;
 use super::random::random_bytes;
+use super::sql::Db;
 use base64::Engine;
 use serde::Serialize;
-use sqlx::AssertSqlSafe;
+use sqlx::{AssertSqlSafe, Database};
 
 /// Name of a tenant: 1 to 64 letters, digits, `-`, `_` and `.`.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, sqlx::Type)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(transparent)]
-#[sqlx(transparent)]
 pub struct Tenant(String);
 
 /// Maximal length of a name, characters.
@@ -32,6 +32,23 @@ impl Tenant {
     /// The name as text.
     pub fn name(&self) -> &str {
         &self.0
+    }
+}
+
+/// A tenant is read as the text that it is.
+impl sqlx::Type<Db> for Tenant {
+    fn type_info() -> <Db as Database>::TypeInfo {
+        <String as sqlx::Type<Db>>::type_info()
+    }
+
+    fn compatible(found: &<Db as Database>::TypeInfo) -> bool {
+        <String as sqlx::Type<Db>>::compatible(found)
+    }
+}
+
+impl<'r> sqlx::Decode<'r, Db> for Tenant {
+    fn decode(value: <Db as Database>::ValueRef<'r>) -> Result<Self, sqlx::error::BoxDynError> {
+        <String as sqlx::Decode<Db>>::decode(value).map(Self)
     }
 }
 

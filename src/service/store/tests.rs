@@ -3,7 +3,7 @@
 use super::database::Store;
 use super::error::StoreError;
 use super::folders::PAGES;
-use super::schema::MIGRATIONS;
+use super::migrations::SQLITE;
 use sqlx::migrate::Migrator;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
@@ -21,7 +21,7 @@ const BEFORE_TENANT_COUNTERS: i64 = 10;
 async fn database_of(folder: &Path, last: i64) -> SqliteConnection {
     let options = SqliteConnectOptions::new().filename(folder.join("wandless.db")).create_if_missing(true);
     let mut database = options.connect().await.unwrap();
-    let old: Vec<_> = MIGRATIONS.iter().filter(|migration| migration.version <= last).cloned().collect();
+    let old: Vec<_> = SQLITE.iter().filter(|migration| migration.version <= last).cloned().collect();
     let migrator = Migrator { migrations: Cow::Owned(old), ..Migrator::DEFAULT };
     migrator.run(&mut database).await.unwrap();
     database
@@ -130,7 +130,7 @@ async fn loose_database_of_an_earlier_release_is_rewritten() {
     let path = folder.path().join("wandless.db");
     let plain = SqliteConnectOptions::new().filename(&path).create_if_missing(true);
     let mut database = plain.connect().await.unwrap();
-    MIGRATIONS.run(&mut database).await.unwrap(); // without the setting that lets the file shrink step by step
+    SQLITE.run(&mut database).await.unwrap(); // without the setting that lets the file shrink step by step
     database.close().await.unwrap();
     let store = Store::open(folder.path()).await.unwrap();
     fill_and_empty(&store, 3000).await.unwrap();
@@ -155,7 +155,7 @@ async fn interrupted_creation_is_repeated_by_the_next_start() {
     let found: String = sqlx::query_scalar("PRAGMA integrity_check").fetch_one(store.read()).await.unwrap();
     assert_eq!(found, "ok");
     let applied = sqlx::query_scalar::<_, i64>("SELECT count(*) FROM _sqlx_migrations WHERE success");
-    assert_eq!(applied.fetch_one(store.read()).await.unwrap(), MIGRATIONS.iter().count() as i64);
+    assert_eq!(applied.fetch_one(store.read()).await.unwrap(), SQLITE.iter().count() as i64);
     store.close().await;
     let names =
         std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());

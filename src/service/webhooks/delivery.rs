@@ -1,10 +1,12 @@
 //! A row of the table of deliveries.
 
 use crate::service::store::Tenant;
+use crate::service::store::sql::SqlRow;
 use serde::Serialize;
+use sqlx::{FromRow, Row};
 
 /// Delivery of one event to one receiver.
-#[derive(Debug, Clone, Serialize, sqlx::FromRow, utoipa::ToSchema)]
+#[derive(Debug, Clone, Serialize, utoipa::ToSchema)]
 pub struct Delivery {
     /// Value of the header `webhook-id`.
     pub id: String,
@@ -32,8 +34,25 @@ pub struct Delivery {
     #[schema(format = DateTime)]
     pub updated_at: String,
     #[serde(skip)]
-    #[sqlx(rename = "job_id")]
     pub(super) job: String,
     #[serde(skip)]
     pub(super) tenant: Tenant,
+}
+
+impl FromRow<'_, SqlRow> for Delivery {
+    fn from_row(row: &SqlRow) -> sqlx::Result<Self> {
+        Ok(Self {
+            id: row.try_get("id")?,
+            event: row.try_get("event")?,
+            url: row.try_get("url")?,
+            state: row.try_get("state")?,
+            tries: row.try_get("tries")?,
+            last_status: row.try_get("last_status")?,
+            last_error: row.try_get("last_error")?,
+            created_at: row.try_get("created_at")?,
+            updated_at: row.try_get("updated_at")?,
+            job: row.try_get("job_id")?,
+            tenant: row.try_get("tenant")?,
+        })
+    }
 }

@@ -5,11 +5,10 @@
 //! know, and ends where the gate says that it is too old.
 
 use super::super::error::StoreError;
+use super::super::migrations::POSTGRES;
 use sqlx::migrate::Migrator;
 use sqlx::postgres::{PgConnectOptions, PgConnection};
 use sqlx::{ConnectOptions, Connection, Executor};
-
-static MIGRATIONS: Migrator = sqlx::migrate!("./migrations/postgres");
 
 /// The release of this program.
 const RELEASE: &str = env!("CARGO_PKG_VERSION");
@@ -23,7 +22,7 @@ pub(super) async fn migrate(options: &PgConnectOptions) -> Result<(), StoreError
     let mut connection = options.connect().await?;
     connection.execute(sqlx::raw_sql("SET client_min_messages = 'warning'; SET timezone = 'UTC'")).await?;
     require_release(&mut connection).await?;
-    let mut known = Migrator::with_migrations(MIGRATIONS.iter().cloned().collect());
+    let mut known = Migrator::with_migrations(POSTGRES.iter().cloned().collect());
     known.set_ignore_missing(true);
     known.run_direct(None, &mut connection, false).await.map_err(StoreError::Migration)?;
     require_release(&mut connection).await?;
@@ -32,7 +31,7 @@ pub(super) async fn migrate(options: &PgConnectOptions) -> Result<(), StoreError
 
 /// Number of the newest migration that this release knows.
 pub(in crate::service::store) fn newest() -> i64 {
-    MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
+    POSTGRES.iter().map(|migration| migration.version).max().unwrap_or(0)
 }
 
 /// Refuses a database that only newer releases may use.
