@@ -106,6 +106,7 @@ fn refined(
         let before = roughly_calibrated(&capture, Some(cameras), last, progress)?;
         let after = adjusted(&capture, &before, Effort::LAST_UNKNOWN_FOCAL, ALL_FRAMES, progress)?;
         let change = lengths.take_over(&after);
+        tracing::debug!(round, change, factors = ?lengths.factors, "focal lengths of the bundle adjustment");
         lengths.report = after.stages.last().map(|adjustment| report(adjustment, round));
         cameras = after.cameras;
         if change < SETTLED {

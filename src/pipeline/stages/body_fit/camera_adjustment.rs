@@ -158,36 +158,54 @@ type Refined = (Option<CameraCovariance>, Option<RefinedFocal>);
 /// Adjusts cameras and motions of all members in rounds, each under the errors that the one before left.
 fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Refined, Canceled> {
     let table = OffsetTable::empty(context.model);
-    let mut priors = CameraPriors::new(&context.config.known_cameras);
+    let priors = CameraPriors::new(&context.config.known_cameras);
+    let held = CameraPriors { focal: None, ..priors.clone() };
     let mut noise = measured_noise(context, members);
-    let slow = |noise: &PathNoise| noise.typical().autocorrelation;
     for _ in 1..context.config.camera_rounds {
-        let round = problem(context, &table, &noise, Some(&priors));
-        round.minimised(members, Vec::new(), &ROUND_STOPPING)?;
-        if let Some((_, likeliest)) = refined_focal(&round, members, slow(&noise)) {
-            priors.overcount = likeliest.overcount;
-        }
+        problem(context, &table, &noise, Some(&held)).minimised(members, Vec::new(), &ROUND_STOPPING)?;
         noise = measured_noise(context, members);
     }
+    if priors.focal.is_some() {
+        return with_lenses(context, members, (&table, noise), priors);
+    }
     let free = problem(context, &table, &noise, Some(&priors));
-    if priors.focal.is_none() {
-        return Ok((free.minimised_and_marginalised(members, &STOPPING, slow(&noise))?, None));
+    Ok((free.minimised_and_marginalised(members, &STOPPING, slow(&noise))?, None))
+}
+
+/// The same with focal lengths among the unknowns, from where cameras and motions have settled without; `noise`: of there.
+fn with_lenses(
+    context: &FitContext,
+    members: &mut [Member],
+    (table, noise): (&OffsetTable, PathNoise),
+    mut priors: CameraPriors,
+) -> Result<Refined, Canceled> {
+    let round = problem(context, table, &noise, Some(&priors));
+    round.minimised_over_motions(members, &ROUND_STOPPING)?;
+    if let Some((_, likeliest)) = refined_focal(&round, members, slow(&noise)) {
+        priors.overcount = likeliest.overcount;
     }
     // Whether lenses are as given is decided where they are free: held to the given lengths, the noise that is measured there
     // has absorbed their errors.
-    free.minimised(members, Vec::new(), &STOPPING)?;
+    let noise = measured_noise(context, members);
+    let free = problem(context, table, &noise, Some(&priors));
+    free.minimised_over_motions(members, &STOPPING)?;
     let Some((mut focal, likeliest)) = refined_focal(&free, members, slow(&noise)) else {
-        return Ok((free.marginalised(members, slow(&noise)), None));
+        return Ok((free.covariance_of_cameras(members, slow(&noise)), None));
     };
-    let last = problem(context, &table, &noise, Some(&likeliest));
+    let last = problem(context, table, &noise, Some(&likeliest));
     if !priors.has_spread_of(&likeliest) {
-        last.minimised(members, Vec::new(), &STOPPING)?;
+        last.minimised_over_motions(members, &STOPPING)?;
     }
-    let covariance = last.marginalised(members, slow(&noise));
+    let covariance = last.covariance_of_cameras(members, slow(&noise));
     if let Some((found, _)) = refined_focal(&last, members, slow(&noise)) {
         focal = RefinedFocal { log_evidence: focal.log_evidence, ..found };
     }
     Ok((covariance, Some(focal)))
+}
+
+/// Autocorrelation of the errors from frame to frame.
+fn slow(noise: &PathNoise) -> f64 {
+    noise.typical().autocorrelation
 }
 
 /// One step of the motions alone.

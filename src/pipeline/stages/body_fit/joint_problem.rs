@@ -7,6 +7,7 @@
 mod betas_alone;
 mod camera_covariance;
 mod marginal_step;
+mod over_motions;
 mod proportions;
 mod reduced;
 mod shorter_steps;
@@ -50,8 +51,8 @@ pub(super) struct Member {
     pub state: MotionState,
     /// The person's bones against the model's, starting at zero.
     pub bones: BoneOffsets,
-    /// Betas that say as much as they can of what betas and bones say together at the last [marginal](JointProblem::marginalised)
-    /// minimum.
+    /// Betas that say as much as they can of what betas and bones say together at the last minimum
+    /// over the cameras alone.
     pub betas_alone: Option<Betas>,
 }
 

@@ -14,6 +14,8 @@
 //! the derivative of the variance that the motions' spread `H_mm^-1`, as it is, has in the innovations. What shapes bodies is not
 //! integrated over: it is little against the motions.
 //!
+//! With focal lengths among the unknowns one step is not enough: see [`over_motions`](super::over_motions).
+//!
 //! Of the term [`SHARE`] counts. On 24 captures of cameras along a wall or on an arc of 30 to 80 degrees (realistic noise) people
 //! had been 0.4 to 4.8 % of their distance too near, orientations 0.4 and 0.65 degrees off at 1.7 and 1.8 times the stated
 //! deviation; now they are 0.22 and 0.52 off at 1.0 and 1.3 times. Cameras all around move by less than a tenth of their
@@ -23,8 +25,8 @@ use super::super::pixel_residuals::DetectedPixels;
 use super::super::session_state::SessionState;
 use super::super::terms::camera_unknowns::POSE;
 use super::super::terms::whitened_pixels::spread::Spread;
-use super::camera_covariance::Following;
-use super::{JointProblem, Member, Reduced, Stopping, replace_all};
+use super::camera_covariance::{CameraSpread, Following};
+use super::{JointProblem, Member, Minimum, Reduced, Stopping, replace_all};
 use crate::geometry::Rigid;
 use crate::geometry::free_network::CameraCovariance;
 use crate::progress::Canceled;
@@ -34,7 +36,7 @@ use rayon::prelude::*;
 /// Share of the term that counts. All of it would if motions were drawn from the smoothness prior: they are smoother than that, and
 /// errors alone leave a part of it. Measured over three kinds of noise (white; slow; slow with outliers, holes and ghosts) the bias is
 /// 0.43, 0.33 and 0.43 of the whole step.
-const SHARE: f64 = 0.4;
+pub(super) const SHARE: f64 = 0.4;
 
 /// Rise of the cost over the expected one beyond which a step is not taken, and a rise that never stops it: half of a squared
 /// standard deviation, as the minimisation's last step.
@@ -46,50 +48,48 @@ const PARTS: [f64; 3] = [1.0, 0.5, 0.25];
 
 /// Draws from the spread of the motions: `g` sums thousands of independent directions, and errs by some hundredths of a standard deviation of
 /// the cameras. The exact spread (Takahashi's recursion) costs ten times as much.
-const N_SAMPLES: usize = 16;
+pub(super) const N_SAMPLES: usize = 16;
 
 impl JointProblem<'_> {
-    /// Takes `members` from the minimum of the cost to that of the cost over the cameras alone. Returns the covariance of the
+    /// [`Self::minimised`], then from the minimum of the cost to that of the cost over the cameras alone. Returns the covariance of the
     /// cameras' poses; `None` where the channels do not determine them.
     ///
     /// `slow`: autocorrelation of the errors from frame to frame.
-    pub(in super::super) fn marginalised(&self, members: &mut [Member], slow: f64) -> Option<CameraCovariance> {
-        self.marginalised_from(members, None, slow)
-    }
-
-    /// [`Self::minimised`] and [`Self::marginalised`] from the normal equations of its last step.
     pub(in super::super) fn minimised_and_marginalised(
         &self,
         members: &mut [Member],
         stopping: &Stopping,
         slow: f64,
     ) -> Result<Option<CameraCovariance>, Canceled> {
-        let (_, reduced) = self.minimised_and_reduced(members, Vec::new(), stopping)?;
-        Ok(self.marginalised_from(members, reduced, slow))
+        let (Minimum { session, .. }, reduced) = self.minimised_and_reduced(members, Vec::new(), stopping)?;
+        let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
+        // The normal equations of where the last step began, if that was short.
+        let reduced = reduced.or_else(|| self.reduced((members, &pixels), &session, self.systems(members), 0.0));
+        let Some(reduced) = reduced else { return Ok(None) };
+        let following = self.following(&reduced, (members, &pixels), N_SAMPLES);
+        let spread = following.and_then(|following| {
+            let spread = self.spread(&reduced, (members, &pixels), &following, slow);
+            self.step_to_likeliest(&reduced, (members, &pixels), &following, &session)?;
+            spread
+        });
+        Ok(self.stated(reduced, members, spread))
     }
 
-    /// `reduced`: the normal equations, where they are known.
-    fn marginalised_from(
+    /// The step, or the first part of it that the cost allows; `None` where `g` is not known.
+    fn step_to_likeliest(
         &self,
-        members: &mut [Member],
-        reduced: Option<Reduced>,
-        slow: f64,
-    ) -> Option<CameraCovariance> {
-        let session = SessionState { offsets: Vec::new(), cameras: members.first()?.observations.cameras.clone() };
-        let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
-        let reduced = match reduced {
-            Some(reduced) => reduced,
-            None => self.reduced((members, &pixels), &session, self.systems(members), 0.0)?,
-        };
-        let following = self.following(&reduced, (members, &pixels), N_SAMPLES)?;
-        let spread = self.spread(&reduced, (members, &pixels), &following, slow);
-        let gradient = self.spread_gradient(&reduced, (members, &pixels), &following)?;
-        let cost = self.costs(members, &pixels, &session).total();
+        reduced: &Reduced,
+        (members, pixels): (&mut [Member], &[DetectedPixels]),
+        following: &[Following],
+        session: &SessionState,
+    ) -> Option<()> {
+        let gradient = self.spread_gradient(reduced, (members, pixels), following)?;
+        let cost = self.costs(members, pixels, session).total();
         for part in PARTS {
             let to_likeliest = -part * SHARE * reduced.factor.solve(&gradient);
             let expected_rise = -0.5 * part * SHARE * gradient.dot(&to_likeliest);
             let Some(step) = reduced.followed(to_likeliest) else { break };
-            let (after, before) = self.stepped((members, &pixels), &session, &step);
+            let (after, before) = self.stepped((members, pixels), session, &step);
             let rise = after.costs.total() - cost;
             tracing::debug!(part, rise, expected_rise, "step to the cameras whatever the motions");
             // Where the cost rises by far more than its curvature lets expect, the step leads out of where that holds.
@@ -98,6 +98,17 @@ impl JointProblem<'_> {
             }
             replace_all(members, before, &session.cameras);
         }
+        Some(())
+    }
+
+    /// At the minimum of the cost over the cameras alone: gives members their betas without bones, and returns the covariance of the
+    /// cameras' poses. `reduced`: near it, whose memory goes back; `spread`: of the cameras; without one there is no covariance.
+    pub(super) fn stated(
+        &self,
+        reduced: Reduced,
+        members: &mut [Member],
+        spread: Option<CameraSpread>,
+    ) -> Option<CameraCovariance> {
         for (member, person) in members.iter_mut().zip(&reduced.people) {
             member.betas_alone = self.betas_alone(member, person);
         }
@@ -110,7 +121,7 @@ impl JointProblem<'_> {
     }
 
     /// `g`, by the free directions of the session.
-    fn spread_gradient(
+    pub(super) fn spread_gradient(
         &self,
         reduced: &Reduced,
         (members, pixels): (&[Member], &[DetectedPixels]),

@@ -66,6 +66,16 @@ impl Reduced {
         self.step(damped(&self.hessian, damping).cholesky()?.solve(&self.right), 1.0)
     }
 
+    /// Minus the gradient by the free directions of the session, with the persons' own unknowns eliminated.
+    pub(super) fn downhill(&self) -> &DVector<f64> {
+        &self.right
+    }
+
+    /// The session moved in its free directions, and motions that follow it and go to their minimum.
+    pub(super) fn stepped(&self, free: DVector<f64>) -> Option<Step> {
+        self.step(free, 1.0)
+    }
+
     /// The session moved in its free directions, and motions that follow it: those at their minimum stay at it.
     pub(super) fn followed(&self, free: DVector<f64>) -> Option<Step> {
         self.step(free, 0.0)
