@@ -44,7 +44,7 @@ pub(super) static POSTGRES: LazyLock<Migrator> = LazyLock::new(|| {
 fn migrator(files: &[(&'static str, &'static str)]) -> Migrator {
     let migration = |&(name, text): &(&str, &'static str)| {
         let (number, description) = name.split_once('_').unwrap_or((name, ""));
-        // Checked by a test: a name without a number is no other migration's.
+        // A test fails for a name without a number.
         let version = number.parse().unwrap_or(0);
         Migration::new(version, description.replace('_', " ").into(), MigrationType::Simple, text.into_sql_str(), false)
     };

@@ -102,7 +102,7 @@ impl JointProblem<'_> {
     }
 
     /// At the minimum of the cost over the cameras alone: gives members their betas without bones, and returns the covariance of the
-    /// cameras' poses. `reduced`: near it, whose memory goes back; `spread`: of the cameras; without one there is no covariance.
+    /// cameras' poses. `reduced`: near it, whose memory goes back; `spread`: of the cameras; `None` leaves the covariance unknown.
     pub(super) fn stated(
         &self,
         reduced: Reduced,
