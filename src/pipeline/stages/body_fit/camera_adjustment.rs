@@ -158,8 +158,8 @@ type Refined = (Option<CameraCovariance>, Option<RefinedFocal>);
 /// Adjusts cameras and motions of all members in rounds, each under the errors that the one before left.
 fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Refined, Canceled> {
     let table = OffsetTable::empty(context.model);
-    let priors = CameraPriors::new(&context.config.known_cameras);
-    let held = CameraPriors { focal: None, ..priors.clone() };
+    let known = &context.config.known_cameras;
+    let (priors, held) = (CameraPriors::new(known), CameraPriors::of_poses(known));
     let mut noise = measured_noise(context, members);
     for _ in 1..context.config.camera_rounds {
         problem(context, &table, &noise, Some(&held)).minimised(members, Vec::new(), &ROUND_STOPPING)?;
@@ -168,8 +168,8 @@ fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Refined, Cance
     if priors.focal.is_some() {
         return with_lenses(context, members, (&table, noise), priors);
     }
-    let free = problem(context, &table, &noise, Some(&priors));
-    Ok((free.minimised_and_marginalised(members, &STOPPING, slow(&noise))?, None))
+    let last = problem(context, &table, &noise, Some(&held));
+    Ok((last.minimised_and_marginalised(members, &STOPPING, slow(&noise))?, None))
 }
 
 /// The same with focal lengths among the unknowns, from where cameras and motions have settled without; `noise`: of there.

@@ -51,8 +51,7 @@ pub(super) struct Member {
     pub state: MotionState,
     /// The person's bones against the model's, starting at zero.
     pub bones: BoneOffsets,
-    /// Betas that say as much as they can of what betas and bones say together at the last minimum
-    /// over the cameras alone.
+    /// Betas that say as much as they can of what betas and bones say together at the last minimum over the cameras alone.
     pub betas_alone: Option<Betas>,
 }
 
