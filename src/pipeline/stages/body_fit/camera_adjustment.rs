@@ -7,7 +7,7 @@ use super::averaging::averaged;
 use super::camera_priors::CameraPriors;
 use super::context::FitContext;
 use super::focal_prior::{FocalPrior, RefinedFocal};
-use super::joint_problem::{JointProblem, Member, Stopping};
+use super::joint_problem::{CameraSpread, JointProblem, Member, Stopping};
 use super::noise_measurement::measured_noise;
 use super::observations::{Observations, PosedCamera};
 use super::person_fit::StartedMotion;
@@ -181,7 +181,8 @@ fn with_lenses(
 ) -> Result<Refined, Canceled> {
     let round = problem(context, table, &noise, Some(&priors));
     round.minimised_over_motions(members, &ROUND_STOPPING)?;
-    if let Some((_, likeliest)) = refined_focal(&round, members, slow(&noise)) {
+    let spread = round.spread_of_cameras(members, slow(&noise));
+    if let Some((_, likeliest)) = spread.and_then(|spread| refined_focal(&round, members, &spread)) {
         priors.overcount = likeliest.overcount;
     }
     // Whether lenses are as given is decided where they are free: held to the given lengths, the noise that is measured there
@@ -189,18 +190,19 @@ fn with_lenses(
     let noise = measured_noise(context, members);
     let free = problem(context, table, &noise, Some(&priors));
     free.minimised_over_motions(members, &STOPPING)?;
-    let Some((mut focal, likeliest)) = refined_focal(&free, members, slow(&noise)) else {
-        return Ok((free.covariance_of_cameras(members, slow(&noise)), None));
+    let Some(spread) = free.spread_of_cameras(members, slow(&noise)) else { return Ok((None, None)) };
+    let Some((mut focal, likeliest)) = refined_focal(&free, members, &spread) else {
+        return Ok((free.covariance(members, &spread), None));
     };
     let last = problem(context, table, &noise, Some(&likeliest));
     if !priors.has_spread_of(&likeliest) {
         last.minimised_over_motions(members, &STOPPING)?;
     }
-    let covariance = last.covariance_of_cameras(members, slow(&noise));
-    if let Some((found, _)) = refined_focal(&last, members, slow(&noise)) {
+    let spread = last.spread_of_cameras(members, slow(&noise));
+    if let Some((found, _)) = spread.as_ref().and_then(|spread| refined_focal(&last, members, spread)) {
         focal = RefinedFocal { log_evidence: focal.log_evidence, ..found };
     }
-    Ok((covariance, Some(focal)))
+    Ok((spread.and_then(|spread| last.covariance(members, &spread)), Some(focal)))
 }
 
 /// Autocorrelation of the errors from frame to frame.
@@ -241,12 +243,15 @@ fn problem<'a>(
 
 /// Focal lengths at a minimum, and the priors with the likeliest spread of their errors; `None` where they are held or the session
 /// does not determine them.
-fn refined_focal(problem: &JointProblem, members: &[Member], slow: f64) -> Option<(RefinedFocal, CameraPriors)> {
+fn refined_focal(
+    problem: &JointProblem,
+    members: &[Member],
+    spread: &CameraSpread,
+) -> Option<(RefinedFocal, CameraPriors)> {
     let priors = problem.cameras?;
     let prior = priors.focal.as_ref()?;
     let cameras = &members.first()?.observations.cameras;
     let log_factors = prior.log_factors(cameras);
-    let spread = problem.spread_of_cameras(members, slow)?;
     let columns: Vec<usize> = priors.focal_columns(cameras.len()).collect();
     let (inverse_hessian, covariance) = (spread.inverse_hessian(&columns), spread.covariance(&columns));
     let found =

@@ -12,6 +12,7 @@ mod proportions;
 mod reduced;
 mod shorter_steps;
 
+pub(super) use camera_covariance::CameraSpread;
 pub(super) use proportions::{ProportionEvidence, Role};
 pub(super) use reduced::Reduced;
 use reduced::Step;
@@ -125,7 +126,7 @@ impl JointProblem<'_> {
         offsets: Vec<Vector3<f64>>,
         stopping: &Stopping,
     ) -> Result<(Minimum, Option<Reduced>), Canceled> {
-        let cameras = members.first().map_or_else(Vec::new, |member| member.observations.cameras.clone());
+        let cameras = cameras_of(members);
         let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
         let session = SessionState { offsets, cameras };
         let costs = self.costs(members, &pixels, &session);
@@ -303,6 +304,11 @@ impl Member {
         self.observations.cameras.copy_from_slice(cameras);
         (std::mem::replace(&mut self.state, state), std::mem::replace(&mut self.bones, bones))
     }
+}
+
+/// The cameras as they stand.
+fn cameras_of(members: &[Member]) -> Vec<PosedCamera> {
+    members.first().map_or_else(Vec::new, |member| member.observations.cameras.clone())
 }
 
 /// What a step changes of a member besides the cameras.

@@ -26,24 +26,23 @@ use super::super::session_state::SessionState;
 use super::super::terms::landmark_jacobian::{LandmarkJacobian, LinearLandmarks};
 use super::super::terms::whitened_pixels::Positions;
 use super::super::terms::whitened_pixels::scores::Movements;
-use super::{JointProblem, Member, Reduced, with_bones};
+use super::{JointProblem, Member, Reduced, cameras_of, with_bones};
 use nalgebra::{DMatrix, DVector, Matrix3xX};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 impl JointProblem<'_> {
-    /// At the minimum; the cameras are the only unknowns of the session. `None` where the channels do not determine them.
+    /// At the minimum, whose betas without bones members get; the cameras are the only unknowns of the session. `None` where the channels do not determine them.
     ///
     /// `slow`: autocorrelation of the errors from frame to frame.
-    pub(in super::super) fn spread_of_cameras(&self, members: &[Member], slow: f64) -> Option<CameraSpread> {
-        let cameras = &members.first()?.observations.cameras;
+    pub(in super::super) fn spread_of_cameras(&self, members: &mut [Member], slow: f64) -> Option<CameraSpread> {
         let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
-        let session = SessionState { offsets: Vec::new(), cameras: cameras.clone() };
+        let session = SessionState { offsets: Vec::new(), cameras: cameras_of(members) };
         let reduced = self.reduced((members, &pixels), &session, self.systems(members), 0.0)?;
-        let following = self.following(&reduced, (members, &pixels), 0)?;
-        let found = self.spread(&reduced, (members, &pixels), &following, slow);
-        self.context.systems.put_back(reduced.into_systems());
+        let following = self.following(&reduced, (members, &pixels), 0);
+        let found = following.and_then(|following| self.spread(&reduced, (members, &pixels), &following, slow));
+        self.close(reduced, members);
         found
     }
 

@@ -72,7 +72,8 @@ impl JointProblem<'_> {
             self.step_to_likeliest(&reduced, (members, &pixels), &following, &session)?;
             spread
         });
-        Ok(self.stated(reduced, members, spread))
+        self.close(reduced, members);
+        Ok(spread.and_then(|spread| self.covariance(members, &spread)))
     }
 
     /// The step, or the first part of it that the cost allows; `None` where `g` is not known.
@@ -101,23 +102,21 @@ impl JointProblem<'_> {
         Some(())
     }
 
-    /// At the minimum of the cost over the cameras alone: gives members their betas without bones, and returns the covariance of the
-    /// cameras' poses. `reduced`: near it, whose memory goes back; `spread`: of the cameras; `None` leaves the covariance unknown.
-    pub(super) fn stated(
-        &self,
-        reduced: Reduced,
-        members: &mut [Member],
-        spread: Option<CameraSpread>,
-    ) -> Option<CameraCovariance> {
+    /// Gives members their betas without bones, and the memory of the normal equations back.
+    pub(super) fn close(&self, reduced: Reduced, members: &mut [Member]) {
         for (member, person) in members.iter_mut().zip(&reduced.people) {
             member.betas_alone = self.betas_alone(member, person);
         }
         self.context.systems.put_back(reduced.into_systems());
+    }
+
+    /// Covariance of the cameras' poses, which spread so.
+    pub(in super::super) fn covariance(&self, members: &[Member], spread: &CameraSpread) -> Option<CameraCovariance> {
         let cameras = &members.first()?.observations.cameras;
         let n = self.camera_columns(cameras.len()).unknowns.len();
         let poses: Vec<usize> = (0..cameras.len()).flat_map(|camera| n * camera..n * camera + POSE).collect();
         let cameras: Vec<Rigid> = cameras.iter().map(|camera| camera.camera_from_world).collect();
-        CameraCovariance::new(cameras, spread?.covariance(&poses), &self.middle_of_people(members))
+        CameraCovariance::new(cameras, spread.covariance(&poses), &self.middle_of_people(members))
     }
 
     /// `g`, by the free directions of the session.

@@ -3,14 +3,13 @@
 //! It is the cost of [`marginal_step`](super::marginal_step), `C(c, m(c)) + share * log |H_mm(c)| / 2`. A camera that is farther away
 //! with a longer lens shows the same but for perspective, which is little where a lens is long; but motions then follow errors more
 //! easily, and the cost `C` alone drew single cameras away: of 32 sessions of lenses of 0.9 to 2 image widths four had one that was
-//! 15 to 50 % too long, stated to 4 %. So far apart, the two minima are not a step from each other: steps
+//! 15 to 40 % too long, stated to 4 %. So far apart, the two minima are not a step from each other: steps
 //! `-S^-1 (dC/dc + share * g)` lead from where the cameras stand, without a visit to the minimum of `C`.
 
 use super::super::pixel_residuals::DetectedPixels;
 use super::super::session_state::SessionState;
 use super::marginal_step::{N_SAMPLES, SHARE};
-use super::{DAMPING, JointProblem, Member, Minimum, Reduced, Stopping, replace_all};
-use crate::geometry::free_network::CameraCovariance;
+use super::{DAMPING, JointProblem, Member, Minimum, Reduced, Stopping, cameras_of, replace_all};
 use crate::progress::Canceled;
 use nalgebra::DVector;
 
@@ -34,37 +33,22 @@ impl JointProblem<'_> {
         stopping: &Stopping,
     ) -> Result<(), Canceled> {
         let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
+        let session = SessionState { offsets: Vec::new(), cameras: cameras_of(members) };
+        let mut minimum = Minimum { costs: self.costs(members, &pixels, &session), session };
         for _ in 0..stopping.max_iterations {
             self.context.progress.check()?;
-            let session = session_of(members);
-            let reduced = self.reduced((members, &pixels), &session, self.systems(members), DAMPING);
+            let reduced = self.reduced((members, &pixels), &minimum.session, self.systems(members), DAMPING);
             let Some(reduced) = reduced else { break };
-            let from = Minimum { costs: self.costs(members, &pixels, &session), session };
             let course = self.course(&reduced, (members, &pixels));
-            let is_last = course.is_none_or(|course| {
-                !self.has_gone((members, &pixels), &from, &reduced, &course) || course.sigmas < stopping.min_sigmas
-            });
+            let next = course.as_ref().and_then(|course| self.gone((members, &pixels), &minimum, &reduced, course));
             self.context.systems.put_back(reduced.into_systems());
-            if is_last {
+            let (Some(course), Some(next)) = (course, next) else { break };
+            minimum = next;
+            if course.sigmas < stopping.min_sigmas {
                 break;
             }
         }
         Ok(())
-    }
-
-    /// Covariance of the cameras' poses at that minimum; `None` where the channels do not determine them.
-    ///
-    /// `slow`: autocorrelation of the errors from frame to frame.
-    pub(in super::super) fn covariance_of_cameras(
-        &self,
-        members: &mut [Member],
-        slow: f64,
-    ) -> Option<CameraCovariance> {
-        let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
-        let reduced = self.reduced((members, &pixels), &session_of(members), self.systems(members), 0.0)?;
-        let following = self.following(&reduced, (members, &pixels), 0);
-        let spread = following.and_then(|following| self.spread(&reduced, (members, &pixels), &following, slow));
-        self.stated(reduced, members, spread)
     }
 
     /// `None` where the motions' spread is not finite.
@@ -72,19 +56,18 @@ impl JointProblem<'_> {
         let following = self.following(reduced, (members, pixels), N_SAMPLES)?;
         let of_spread = self.spread_gradient(reduced, (members, pixels), &following)? * SHARE;
         let downhill = reduced.downhill() - &of_spread;
-        let to_minimum = reduced.factor.solve(&downhill);
-        let sigmas = (to_minimum.dot(&downhill) / to_minimum.len().max(1) as f64).max(0.0).sqrt();
+        let (to_minimum, sigmas) = reduced.to_minimum(&downhill);
         Some(Course { of_spread, to_minimum, sigmas })
     }
 
-    /// Takes the first part of a step under which the cost over the cameras alone falls; whether there is one.
-    fn has_gone(
+    /// Takes the first part of a step under which the cost over the cameras alone falls; `None` where there is none.
+    fn gone(
         &self,
         (members, pixels): (&mut [Member], &[DetectedPixels]),
         from: &Minimum,
         reduced: &Reduced,
         Course { of_spread, to_minimum, sigmas }: &Course,
-    ) -> bool {
+    ) -> Option<Minimum> {
         for part in PARTS {
             let Some(step) = reduced.stepped(to_minimum * part) else { break };
             let (mut to, before) = self.stepped((members, pixels), &from.session, &step);
@@ -94,16 +77,10 @@ impl JointProblem<'_> {
             }
             tracing::trace!(part, rise = rise(&to), sigmas, "step over the motions");
             if rise(&to) < 0.0 {
-                return true;
+                return Some(to);
             }
             replace_all(members, before, &from.session.cameras);
         }
-        false
+        None
     }
-}
-
-/// The cameras as they stand.
-fn session_of(members: &[Member]) -> SessionState {
-    let cameras = members.first().map_or_else(Vec::new, |member| member.observations.cameras.clone());
-    SessionState { offsets: Vec::new(), cameras }
 }

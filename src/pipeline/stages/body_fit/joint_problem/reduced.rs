@@ -103,7 +103,13 @@ impl Reduced {
     /// How far the session's unknowns are from the minimum, in their standard deviations, root mean square: by the step without
     /// damping. A damped one is small where it is held back, too.
     pub(super) fn rms_sigmas(&self) -> f64 {
-        let free = self.factor.solve(&self.right);
-        (free.dot(&self.right) / free.len().max(1) as f64).max(0.0).sqrt()
+        self.to_minimum(&self.right).1
+    }
+
+    /// The free directions' step for minus this gradient, and its size in their standard deviations, root mean square.
+    pub(super) fn to_minimum(&self, downhill: &DVector<f64>) -> (DVector<f64>, f64) {
+        let free = self.factor.solve(downhill);
+        let sigmas = (free.dot(downhill) / free.len().max(1) as f64).max(0.0).sqrt();
+        (free, sigmas)
     }
 }
