@@ -264,7 +264,8 @@ fn refined_focal(
     };
     let factors = (0..log_factors.len()).map(factor).collect();
     let overcount = match [FocalSpread::WIDE, FocalSpread::UNKNOWN].contains(&prior.spread) {
-        true => found.overcount(&inverse_hessian),
+        // Beside the weights of the normal equations. By the Hessian, a fifth less, cameras of realistic noise came 4 % worse.
+        true => found.overcount(&inverse_hessian) / spread.curvature_per_weight,
         false => priors.overcount,
     };
     let focal = Some(FocalPrior { spread: likeliest, ..prior.clone() });

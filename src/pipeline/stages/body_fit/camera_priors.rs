@@ -64,21 +64,30 @@ impl CameraPriors {
                 corner.gradient[first + at] += self.overcount * gradient;
             }
         }
-        if let Some(precisions) = self.precisions_of_poses(cameras.len()) {
-            let mut hessian = corner.hessian.view_mut((first, first), precisions.shape());
-            hessian += precisions;
-        }
         if let Some(prior) = &self.focal {
-            let precision = prior.precision() * self.overcount;
-            let gradient = &precision * prior.log_factors(cameras);
-            let columns = self.focal_columns(cameras.len());
+            let gradients = prior.precision() * prior.log_factors(cameras) * self.overcount;
+            for (at, gradient) in self.focal_columns(cameras.len()).zip(&gradients) {
+                corner.gradient[first + at] += gradient;
+            }
+        }
+        let precision = self.precision(cameras.len());
+        let mut hessian = corner.hessian.view_mut((first, first), precision.shape());
+        hessian += precision;
+    }
+
+    /// Hessian of all priors by the unknowns of the cameras.
+    pub(super) fn precision(&self, n_cameras: usize) -> DMatrix<f64> {
+        let n = self.columns(n_cameras).len();
+        let mut hessian = self.precisions_of_poses(n_cameras).unwrap_or_else(|| DMatrix::zeros(n, n));
+        if let Some(prior) = &self.focal {
+            let (of_focal, columns) = (prior.precision() * self.overcount, self.focal_columns(n_cameras));
             for (i, row) in columns.clone().enumerate() {
-                corner.gradient[first + row] += gradient[i];
                 for (j, column) in columns.clone().enumerate() {
-                    corner.hessian[(first + row, first + column)] += precision[(i, j)];
+                    hessian[(row, column)] += of_focal[(i, j)];
                 }
             }
         }
+        hessian
     }
 
     /// Hessian of the prior of the poses by the unknowns of the cameras, all of which are then free.

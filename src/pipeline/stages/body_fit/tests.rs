@@ -338,8 +338,8 @@ fn focal_lengths_are_found_with_the_cameras() {
 }
 
 /// Given poses counted as if they were exact: cameras of `extrinsics: refine` were stated too sure, here at 0.65 times what two independent
-/// measurements leave together. They are stated at more than that: priors count five times, as slow errors ask for, and those of this
-/// scene are white.
+/// measurements leave together. They are stated at up to 1.3 times that: priors count five times, as slow errors ask for, and those of
+/// this scene are white. Where poses are given, channels determine fewer directions, and their spread is enlarged by a few per cent less.
 #[test]
 fn given_poses_err_as_well() {
     let truth = smooth_motion(5, 2.0, 30.0);
@@ -355,10 +355,9 @@ fn given_poses_err_as_well() {
     let of_given = CameraCovariance::new(poses.clone(), DMatrix::from_diagonal(&variances), &Vector3::y()).unwrap();
     let (free, given) = (sigmas(None), of_given.pose_sigmas());
     for ((refined, free), given) in sigmas(Some(poses)).iter().zip(free).zip(given) {
-        println!("{:.4} {:.4} {:.4}", refined.position, free.position, given.position);
         let both = free.position.hypot(given.position);
         let expected = free.position * given.position / both;
-        assert!((1.0..1.5).contains(&(refined.position / expected)), "{} {expected}", refined.position);
+        assert!((0.95..1.3).contains(&(refined.position / expected)), "{} {expected}", refined.position);
     }
 }
 

@@ -24,13 +24,10 @@ use super::variables::State;
 use crate::geometry::Rigid;
 use crate::geometry::free_network::CameraCovariance;
 use crate::optim::arrow::{self, Block};
-use crate::optim::robust::geman_mcclure;
+use crate::optim::robust::{Curvature, geman_mcclure};
 use crate::pipeline::calibration::{CameraUncertainty, FocalEstimate};
 use nalgebra::{DMatrix, DVector, Vector3};
 use std::collections::BTreeMap;
-
-/// Smallest ratio of curvature to weight, reached where half of the residuals are as large as the robust scale.
-const MIN_CURVATURE: f64 = 0.1;
 
 /// Smallest number of blocks: fewer do not show their own spread.
 const MIN_BLOCKS: usize = 8;
@@ -160,14 +157,9 @@ fn person_time_blocks(problem: &Problem, block_frames: usize) -> Vec<Vec<usize>>
     blocks.into_values().collect()
 }
 
-/// Mean curvature of the reprojection cost (half along, half across the residual) over its mean weight.
+/// Mean curvature of the reprojection cost over its mean weight.
 fn curvature_per_weight(problem: &Problem, state: &State) -> f64 {
-    let (mut curvature, mut weight) = (0.0, 0.0);
-    for misfit in problem.misfits(state).filter(|m| m.sigmas.is_finite()) {
-        let robust = geman_mcclure(misfit.sigmas * misfit.sigmas, problem.robust_scale);
-        curvature += 0.5 * (robust.curvature + robust.weight);
-        weight += robust.weight;
-    }
-    // At the minimum the mean is positive; the floor bounds the certainty of a bad fit.
-    if weight > 0.0 { (curvature / weight).max(MIN_CURVATURE) } else { 1.0 }
+    let misfits = problem.misfits(state).filter(|m| m.sigmas.is_finite());
+    let robust = misfits.map(|m| geman_mcclure(m.sigmas * m.sigmas, problem.robust_scale));
+    robust.fold(Curvature::default(), |sum, robust| sum.with(&robust, 1.0)).per_weight()
 }

@@ -61,6 +61,20 @@ impl Reduced {
         self.people.into_iter().map(Eliminated::into_system).collect()
     }
 
+    /// The inverse of the Hessian that has second derivatives of the robust cost, `curvature_per_weight` of the weights that the normal
+    /// equations have in their place; `of_priors`: the priors' part, which is as it is.
+    pub(super) fn inverse_hessian(
+        &self,
+        curvature_per_weight: f64,
+        of_priors: Option<&DMatrix<f64>>,
+    ) -> Option<DMatrix<f64>> {
+        let mut hessian = &self.hessian * curvature_per_weight;
+        if let Some(of_priors) = of_priors {
+            hessian += of_priors * (1.0 - curvature_per_weight);
+        }
+        Some(hessian.cholesky()?.inverse())
+    }
+
     /// The step under a damping; `None` where the damped system is not positive definite.
     pub(in super::super) fn solved(&self, damping: f64) -> Option<Step> {
         self.step(damped(&self.hessian, damping).cholesky()?.solve(&self.right), 1.0)

@@ -2,7 +2,7 @@
 
 use super::super::camera_unknowns::{ByCamera, CameraUnknowns, MAX_UNKNOWNS};
 use super::{Channel, PosedCamera, Positions, WhitenedPixels};
-use crate::optim::robust::geman_mcclure;
+use crate::optim::robust::{Curvature, geman_mcclure};
 use nalgebra::{DMatrix, DVector, Matrix3xX, SVector, Vector3};
 use rayon::prelude::*;
 
@@ -17,6 +17,21 @@ pub(crate) struct Movements<'a> {
 }
 
 impl WhitenedPixels {
+    /// Of the cost of all innovations.
+    pub(crate) fn curvature(&self, cameras: &[PosedCamera], positions: &Positions) -> Curvature {
+        let of_channel = |landmark: usize, channel: &Channel| {
+            let linear = channel.linearised(landmark, cameras, positions);
+            let innovations =
+                channel.seen.iter().filter_map(|seen| seen.parts.combined(|i| linear[i].map(|l| l.residual)));
+            let robust = innovations.map(|e| geman_mcclure(e.norm_squared(), self.robust_scale));
+            robust.fold(Curvature::default(), |sum, robust| sum.with(&robust, channel.weight))
+        };
+        let of_landmark = |(landmark, channels): (usize, &Vec<Channel>)| {
+            channels.iter().fold(Curvature::default(), |sum, channel| sum.and(of_channel(landmark, channel)))
+        };
+        self.channels.iter().enumerate().map(of_landmark).fold(Curvature::default(), Curvature::and)
+    }
+
     /// Each channel's part in the gradient of the cost by the unknowns of `movements`, two per channel: by axis of the image.
     pub(crate) fn scores(
         &self,
