@@ -53,6 +53,11 @@ const HIDDEN: f64 = 2.0;
 /// frame. Of 12 absences of 2 s 72 % of the errors lay inside without it, 93 % with this.
 const ABSENT: f64 = 4.0;
 
+/// Correlation of slow errors of two landmarks of a region, where one camera alone shows a person: limbs exchanged with those of others and
+/// half bodies, which err together, add to the fifth that is measured (docs/method.md 15). Joints of 18 stretches are as far off as
+/// stated with it.
+const SHARED: f64 = 0.25;
+
 /// How sure a person's motion and shape are.
 pub(super) struct MotionUncertainty {
     /// By frame of the motion.
@@ -95,7 +100,7 @@ fn window_uncertainty(
     let context = &FitContext { noise: noise.as_ref(), ..context.thinned(stride) };
     let pixels = DetectedPixels::new(context, &observations, &state);
     let DetectedPixels::Correlated(paths) = &pixels else { return None };
-    let shared = shared_error_variance(paths.landmarks.len(), slow);
+    let shared = shared_error_variance(paths.landmarks.len(), SHARED * slow);
     let alone = SingleCamera::new(context.model, &observations, context.frame_interval);
     let is_open = alone.open_frames();
     let table = OffsetTable::empty(context.model);

@@ -62,19 +62,14 @@ impl DetectedPixels {
     }
 }
 
-/// Correlation of slow errors of two landmarks of a face, of the legs, or of trunk and arms: on real detections 0.38 for the hips
-/// and 0.49 for nose and eyes, 0.2 as the mean of a region (docs/method.md 15), but not all landmarks of a region pull a camera in the same
-/// direction. With 0.15 the cameras' errors are 0.81 times as stated on realistic noise, 1.0 on the presets' and 1.2 on Shelf.
-const SHARED: f64 = 0.15;
-
 /// Face; legs; trunk and arms.
 const N_REGIONS: f64 = 3.0;
 
 /// Variance of a sum of the errors of `n_landmarks` over that of as many independent ones, of which residuals show the part that is
 /// each landmark's own: `(1 + s (m - 1)) / (1 - s)`, the design effect (Kish 1965) of the m landmarks of one region, whose errors
-/// correlate by `s = 0.15 rho` with the autocorrelation `rho` from frame to frame, `slow`, as their slow part.
-pub(super) fn shared_error_variance(n_landmarks: usize, slow: f64) -> f64 {
-    let (of_region, shared) = ((n_landmarks as f64 / N_REGIONS).max(1.0), SHARED * slow);
+/// correlate by `s`, `shared`.
+pub(super) fn shared_error_variance(n_landmarks: usize, shared: f64) -> f64 {
+    let of_region = (n_landmarks as f64 / N_REGIONS).max(1.0);
     (1.0 + shared * (of_region - 1.0)) / (1.0 - shared)
 }
 
