@@ -105,6 +105,21 @@ impl Intrinsics {
         }
     }
 
+    /// The intrinsics of the images turned clockwise by 90 degrees, of a camera turned likewise: pixel `(x, y)` becomes
+    /// `(height - 1 - y, x)`. `None` with skew, which such a camera has not in the same form.
+    pub fn turned_clockwise(&self) -> Option<Self> {
+        let cx = f64::from(self.height) - 1.0 - self.cy;
+        (self.skew == 0.0).then(|| {
+            let (width, height, fx, fy) = (self.height, self.width, self.fy, self.fx);
+            Self { width, height, fx, fy, cx, cy: self.cx, skew: 0.0, dist: self.dist.turned_clockwise() }
+        })
+    }
+
+    /// The same counterclockwise: pixel `(x, y)` becomes `(y, width - 1 - x)`.
+    pub fn turned_counterclockwise(&self) -> Option<Self> {
+        self.turned_clockwise()?.turned_clockwise()?.turned_clockwise()
+    }
+
     /// The 3x3 matrix K.
     pub fn matrix(&self) -> Matrix3<f64> {
         Matrix3::new(self.fx, self.skew, self.cx, 0.0, self.fy, self.cy, 0.0, 0.0, 1.0)

@@ -4,8 +4,10 @@
 //! known to some ten per cent only: those are left to the user.
 
 use super::config::Options;
-use crate::geometry::{Distortion, Intrinsics};
-use crate::session::recording_tests::{best_confidence, centred, likelier_convention, without_doubles};
+use crate::geometry::{Distortion, Intrinsics, Rigid};
+use crate::session::recording_tests::{
+    best_confidence, centred, likelier_convention, turned_with_images, without_doubles,
+};
 use crate::session::{Session, Suspicion, SuspicionCode as Code, View};
 use nalgebra::Vector2;
 use serde_json::Value;
@@ -22,6 +24,11 @@ pub fn repaired(session: &Session, options: &Options, suspicion: &Suspicion) -> 
     let read_anew = |change: fn(&Intrinsics, Vector2<f64>) -> Vector2<f64>| {
         Some((with_pixels(session, suspicion, change), options.clone()))
     };
+    let with_cameras =
+        |camera: &dyn Fn(&View) -> Option<Camera>| Some((with_cameras(session, suspicion, camera)?, options.clone()));
+    let with_lenses = |lens: &dyn Fn(&Intrinsics) -> Option<Intrinsics>| {
+        with_cameras(&|view| Some((lens(&view.intrinsics)?, view.camera_from_world)))
+    };
     match suspicion.code {
         Code::Mirrored => read_anew(|lens, p| lens.mirrored(&p)),
         Code::YUpwards => read_anew(|lens, p| Vector2::new(p.x, f64::from(lens.height) - 1.0 - p.y)),
@@ -30,21 +37,16 @@ pub fn repaired(session: &Session, options: &Options, suspicion: &Suspicion) -> 
         }
         Code::LabelsExchanged => Some((with_labels_exchanged(session, suspicion), options.clone())),
         Code::CamerasExchanged => Some((with_keypoints_exchanged(session, suspicion)?, options.clone())),
-        Code::PrincipalPoint | Code::Resolution => {
-            let repaired = match suspicion.image_scale {
-                Some(scale) => with_lenses(session, suspicion, |lens| Some(lens.resized(scale)))?,
-                // Where one change of K explains why principal points are far from the centres of the images.
-                None => with_lenses(session, suspicion, centred)?,
-            };
-            Some((repaired, options.clone()))
-        }
-        Code::LensDistortion => {
-            let lens = |lens: &Intrinsics| match suspicion.radial_change {
-                Some(change) => lens.with_radial(change),
-                None => Intrinsics { dist: Distortion::None, ..*lens },
-            };
-            Some((with_lenses(session, suspicion, |given| Some(lens(given)))?, options.clone()))
-        }
+        Code::PrincipalPoint | Code::Resolution => with_lenses(&|lens| match suspicion.image_scale {
+            Some(scale) => Some(lens.resized(scale)),
+            // Where one change of K explains why principal points are far from the centres of the images.
+            None => centred(lens),
+        }),
+        Code::Rotated => with_cameras(&|view| turned_with_images(session.convention, view)),
+        Code::LensDistortion => with_lenses(&|lens| match suspicion.radial_change {
+            Some(change) => Some(lens.with_radial(change)),
+            None => Some(Intrinsics { dist: Distortion::None, ..*lens }),
+        }),
         Code::Convention => {
             let convention = likelier_convention(session)?;
             Some((Session { convention, ..session.clone() }, options.clone()))
@@ -104,14 +106,13 @@ fn with_keypoints_exchanged(session: &Session, suspicion: &Suspicion) -> Option<
     Some(session.with_keypoints_exchanged(position(a)?, position(b)?))
 }
 
-fn with_lenses(
-    session: &Session,
-    suspicion: &Suspicion,
-    change: impl Fn(&Intrinsics) -> Option<Intrinsics>,
-) -> Option<Session> {
+/// Lens and given pose (`camera_from_world`) of a camera.
+type Camera = (Intrinsics, Option<Rigid>);
+
+fn with_cameras(session: &Session, suspicion: &Suspicion, camera: &dyn Fn(&View) -> Option<Camera>) -> Option<Session> {
     let mut repaired = session.clone();
     for view in concerned(&mut repaired, suspicion) {
-        view.intrinsics = change(&view.intrinsics)?;
+        (view.intrinsics, view.camera_from_world) = camera(view)?;
     }
     Some(repaired)
 }

@@ -138,6 +138,16 @@ impl Distortion {
         }
     }
 
+    /// The lens of a camera turned so that its images turn clockwise by 90 degrees, `(x, y)` to `(-y, x)`: radial terms are the same,
+    /// `p1` becomes `p2` and `p2` becomes `-p1`.
+    pub(super) fn turned_clockwise(self) -> Self {
+        match self {
+            Self::None | Self::Fisheye4(_) => self,
+            Self::OpenCv5([k1, k2, p1, p2, k3]) => Self::OpenCv5([k1, k2, p2, -p1, k3]),
+            Self::Rational8([k1, k2, p1, p2, k3, k4, k5, k6]) => Self::Rational8([k1, k2, p2, -p1, k3, k4, k5, k6]),
+        }
+    }
+
     /// Derivative of the distorted coordinates by the first radial coefficient: `n r^2`, over the lower polynomial of a rational lens;
     /// of a fisheye `n theta^3 / r`.
     pub(super) fn by_radial(&self, n: &Vector2<f64>) -> Vector2<f64> {

@@ -125,3 +125,20 @@ fn undistortion_comes_back_to_every_pixel_of_the_image() {
         }
     }
 }
+
+#[test]
+fn a_turned_camera_sees_the_turned_image() {
+    for dist in LENSES {
+        let given = Intrinsics { skew: 0.0, ..camera(dist) };
+        let (clockwise, back) = (given.turned_clockwise().unwrap(), given.turned_counterclockwise().unwrap());
+        assert_eq!([clockwise.width, clockwise.height], [1080, 1920]);
+        for n in [Vector2::new(0.5, 0.2), Vector2::new(-0.3, 0.1)] {
+            let p = given.pixel_from_normalized(&n);
+            let turned = clockwise.pixel_from_normalized(&Vector2::new(-n.y, n.x));
+            assert!((turned - Vector2::new(1079.0 - p.y, p.x)).norm() < 1e-9);
+            let turned = back.pixel_from_normalized(&Vector2::new(n.y, -n.x));
+            assert!((turned - Vector2::new(p.y, 1919.0 - p.x)).norm() < 1e-9);
+        }
+    }
+    assert_eq!(camera(Distortion::None).turned_clockwise(), None, "with skew");
+}

@@ -1,10 +1,12 @@
 //! The keypoints against the image: size, orientation, principal point and unit of the coordinates.
 
+use super::quarter_turn::quarter_turn;
 use crate::body::detector_profile::DETECTOR;
-use crate::geometry::Intrinsics;
+use crate::body::skeleton::KeypointConvention;
+use crate::geometry::{Intrinsics, Rigid};
 use crate::session::recording::{Keypoint, Session, View};
 use crate::session::suspicion::{Suspicion, SuspicionCode};
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
 
 /// Minimum number of points for a suspicion.
 const MIN_POINTS: usize = 200;
@@ -29,7 +31,8 @@ const WELL_CENTRED: f64 = 0.05;
 /// Compares the keypoints and the principal point of every view with its image.
 pub(super) fn suspicions(session: &Session) -> Vec<Suspicion> {
     let size = |view: &View| (view.intrinsics.width, view.intrinsics.height);
-    let found: Vec<(&View, Found)> = session.views.iter().filter_map(|view| Some((view, found(view)?))).collect();
+    let found: Vec<(&View, Found)> =
+        session.views.iter().filter_map(|view| Some((view, found(session.convention, view)?))).collect();
     // Images that are stated alike were resized alike; people walk farther through some of them.
     let largest_alike = |view: &View| {
         let alike = found.iter().filter(|(other, _)| size(other) == size(view));
@@ -56,14 +59,22 @@ impl Found {
     fn new(code: SuspicionCode, evidence: String, remedy: &'static str) -> Self {
         Self { code, evidence, remedy, image_scale: None }
     }
+
+    /// Images that were turned after the calibration; people who lie in them say which way.
+    fn turned(convention: KeypointConvention, view: &View, evidence: String) -> Option<Self> {
+        let turn = quarter_turn(convention, view)?.name();
+        let evidence = format!("{evidence}; people lie on their sides, as after a turn of the images {turn}");
+        let remedy = "turn K with the images, or detect people in the unturned video";
+        Some(Self::new(SuspicionCode::Rotated, evidence, remedy))
+    }
 }
 
-fn found(view: &View) -> Option<Found> {
+fn found(convention: KeypointConvention, view: &View) -> Option<Found> {
     let size = Vector2::new(f64::from(view.intrinsics.width), f64::from(view.intrinsics.height));
-    of_keypoints(view, size).or_else(|| of_principal_point(view, size))
+    of_keypoints(convention, view, size).or_else(|| of_principal_point(convention, view))
 }
 
-fn of_keypoints(view: &View, size: Vector2<f64>) -> Option<Found> {
+fn of_keypoints(convention: KeypointConvention, view: &View, size: Vector2<f64>) -> Option<Found> {
     let keypoints = view.frames.iter().flatten().flat_map(|detection| &detection.keypoints);
     let is_certain = |keypoint: &&Keypoint| keypoint.confidence >= DETECTOR.judged;
     let pixels: Vec<Vector2<f64>> = keypoints.filter(is_certain).map(|keypoint| keypoint.pixel).collect();
@@ -88,7 +99,8 @@ fn of_keypoints(view: &View, size: Vector2<f64>) -> Option<Found> {
         if turned != size && holds_all(turned) {
             let evidence = "its keypoints fit an image with width and height exchanged".to_owned();
             let remedy = "was the video rotated by 90 degrees? calibrate it as it is";
-            return Some(Found::new(SuspicionCode::Rotated, evidence, remedy));
+            let upright = |evidence| Found::new(SuspicionCode::Rotated, evidence, remedy);
+            return Some(Found::turned(convention, view, evidence.clone()).unwrap_or_else(|| upright(evidence)));
         }
         let evidence = format!("its keypoints lie outside the image ({:.0} % of them)", 100.0 * outside);
         let remedy = "does the calibration belong to another resolution?";
@@ -115,14 +127,15 @@ enum Centre {
     Unexplained,
 }
 
-fn of_principal_point(view: &View, size: Vector2<f64>) -> Option<Found> {
+fn of_principal_point(convention: KeypointConvention, view: &View) -> Option<Found> {
     let (cx, cy) = (view.intrinsics.cx + 0.5, view.intrinsics.cy + 0.5);
     let off = format!("the principal point ({cx:.0}, {cy:.0}) is far from the centre");
-    Some(match centre(&view.intrinsics, size)? {
+    Some(match centre(&view.intrinsics)? {
         Centre::Exchanged => {
             let evidence = format!("{off}, and near it with cx and cy exchanged");
             let remedy = "exchange cx and cy, or calibrate the video in the orientation of its keypoints";
-            Found::new(SuspicionCode::PrincipalPoint, evidence, remedy)
+            let upright = |evidence| Found::new(SuspicionCode::PrincipalPoint, evidence, remedy);
+            Found::turned(convention, view, evidence.clone()).unwrap_or_else(|| upright(evidence))
         }
         Centre::OtherSize(factor) => {
             let evidence = format!("{off}: K belongs to images {factor:.2} times as large");
@@ -135,7 +148,8 @@ fn of_principal_point(view: &View, size: Vector2<f64>) -> Option<Found> {
 }
 
 /// `None` where the principal point is as usual.
-fn centre(intrinsics: &Intrinsics, size: Vector2<f64>) -> Option<Centre> {
+fn centre(intrinsics: &Intrinsics) -> Option<Centre> {
+    let size = Vector2::new(f64::from(intrinsics.width), f64::from(intrinsics.height));
     let (cx, cy) = (intrinsics.cx + 0.5, intrinsics.cy + 0.5);
     let distance = |x: f64, y: f64| (x / size.x - 0.5).abs().max((y / size.y - 0.5).abs());
     let (given, exchanged) = (distance(cx, cy), distance(cy, cx));
@@ -153,8 +167,7 @@ fn centre(intrinsics: &Intrinsics, size: Vector2<f64>) -> Option<Centre> {
 
 /// The intrinsics with the principal point near the centre, where that has one explanation.
 pub fn centred(intrinsics: &Intrinsics) -> Option<Intrinsics> {
-    let size = Vector2::new(f64::from(intrinsics.width), f64::from(intrinsics.height));
-    match centre(intrinsics, size)? {
+    match centre(intrinsics)? {
         Centre::Exchanged => Some(Intrinsics { cx: intrinsics.cy, cy: intrinsics.cx, ..*intrinsics }),
         Centre::OtherSize(factor) => {
             let (width, height) = (intrinsics.width, intrinsics.height);
@@ -164,4 +177,17 @@ pub fn centred(intrinsics: &Intrinsics) -> Option<Intrinsics> {
         }
         Centre::Unexplained => None,
     }
+}
+
+/// Lens and given pose of the camera turned with its images, where people say which way those were turned after its calibration.
+pub fn turned_with_images(convention: KeypointConvention, view: &View) -> Option<(Intrinsics, Option<Rigid>)> {
+    let turn = quarter_turn(convention, view)?;
+    let stated = view.intrinsics;
+    let calibrated = match centre(&stated) {
+        Some(Centre::Exchanged) => Intrinsics { width: stated.height, height: stated.width, ..stated },
+        _ => stated,
+    };
+    let turned_from_calibrated = Rigid { rotation: turn.rotation(), translation: Vector3::zeros() };
+    let turned_from_world = view.camera_from_world.map(|from_world| turned_from_calibrated * from_world);
+    Some((turn.of_lens(&calibrated)?, turned_from_world))
 }

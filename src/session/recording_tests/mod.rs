@@ -3,6 +3,7 @@
 //! They run when a session is read (as warnings), when it is inspected, and in every job, whose verdict states them.
 //!
 //! - `image`: pixels outside or in a corner of the image, principal point, normalised coordinates
+//! - `quarter_turn`: people who lie on their sides where the images were turned after the calibration
 //! - `repetition`: the same keypoints in two cameras or in successive frames, periodic gaps
 //! - `doubles`: people who are detected twice in an image
 //! - `detector`: confidences, order of the keypoints
@@ -12,13 +13,14 @@ mod detector;
 mod doubles;
 mod given_poses;
 mod image;
+mod quarter_turn;
 mod repetition;
 #[cfg(test)]
 mod tests;
 
 pub use detector::{best_confidence, likelier_convention};
 pub use doubles::without_doubles;
-pub use image::centred;
+pub use image::{centred, turned_with_images};
 
 use super::recording::Session;
 use super::suspicion::Suspicion;

@@ -1,11 +1,11 @@
 //! Each mistake is named, and a recording without one raises no suspicion.
 
-use super::{suspicions, without_doubles};
+use super::{suspicions, turned_with_images, without_doubles};
 use crate::body::skeleton::KeypointConvention;
-use crate::geometry::Intrinsics;
+use crate::geometry::{Intrinsics, Rigid, rotation};
 use crate::session::recording::{Detection, FrameIndex, Keypoint, Session, View};
 use crate::session::suspicion::SuspicionCode as Code;
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
 
 const N_FRAMES: usize = 60;
 /// Frames between the two cameras' pictures of the same walk.
@@ -81,6 +81,36 @@ fn names_wrong_coordinates() {
     assert_eq!(found(|s| pixels(s, |p| 0.5 * p)), second(Code::Resolution));
     assert_eq!(found(|s| pixels(s, |p| 2.0 * p)), second(Code::Resolution));
     assert_eq!(found(|s| pixels(s, |p| Vector2::new(p.y, 1279.0 - p.x))), second(Code::Rotated));
+}
+
+/// The principal point of images that had been turned was mirrored by the repair: people lie in them, which says how they were turned.
+#[test]
+fn a_camera_is_turned_as_its_images_were() {
+    let lens = Intrinsics { cx: 620.0, cy: 380.0, fy: 1010.0, ..Intrinsics::PLAIN };
+    let pose =
+        Rigid { rotation: rotation::exp(&Vector3::new(0.1, -0.7, 0.2)), translation: Vector3::new(0.1, 0.2, 4.0) };
+    let clockwise: fn(Vector2<f64>) -> Vector2<f64> = |p| Vector2::new(719.0 - p.y, p.x);
+    let back: fn(Vector2<f64>) -> Vector2<f64> = |p| Vector2::new(p.y, 1279.0 - p.x);
+    for (change, word) in [(clockwise, " clockwise"), (back, "counterclockwise")] {
+        for is_size_of_video in [false, true] {
+            let mut turned = session();
+            pixels(&mut turned, change);
+            let size = if is_size_of_video { (720, 1280) } else { (1280, 720) };
+            let view = &mut turned.views[1];
+            view.camera_from_world = Some(pose);
+            view.intrinsics = Intrinsics { width: size.0, height: size.1, ..lens };
+            let named = suspicions(&turned);
+            assert_eq!(named.iter().map(|s| s.code).collect::<Vec<_>>(), [Code::Rotated]);
+            assert!(named[0].evidence.ends_with(word), "{}", named[0].evidence);
+            let (found, camera_from_world) = turned_with_images(turned.convention, &turned.views[1]).unwrap();
+            let point = Vector3::new(0.3, -0.2, 1.0);
+            let pixel = lens.pixel_from_camera(&pose.transform(&point)).unwrap();
+            let seen = found.pixel_from_camera(&camera_from_world.unwrap().transform(&point)).unwrap();
+            assert!((seen - change(pixel)).norm() < 1e-9);
+            assert_eq!((found.width, found.height), (720, 1280));
+        }
+    }
+    assert_eq!(turned_with_images(KeypointConvention::Coco17, &session().views[1]), None, "people stand");
 }
 
 /// A person who stood far away in the middle of an image was taken for one in an image of half the size.
