@@ -6,7 +6,7 @@ use crate::geometry::Intrinsics;
 use crate::session::recording::{Detection, View};
 use nalgebra::{Matrix3, Vector2};
 
-/// Minimum number of trunks for a turn.
+/// Fewest trunks that say so.
 const MIN_TRUNKS: usize = 20;
 /// Share of the trunks whose shoulders point to the same side: people bend and lie down for a while.
 const MOST: f64 = 0.75;
@@ -46,7 +46,7 @@ impl Turn {
     }
 }
 
-/// The turn under which people who lie on their sides in a view stand upright; `None` where they stand.
+/// How the images of a view were turned, if people stand in those that were calibrated; `None` where they do not lie on their sides.
 pub(super) fn quarter_turn(convention: KeypointConvention, view: &View) -> Option<Turn> {
     let (hips, shoulders) = (convention.sides_of("hip")?, convention.sides_of("shoulder")?);
     let trunk = |detection: &Detection| Some(middle(detection, shoulders)? - middle(detection, hips)?);
