@@ -60,12 +60,13 @@ impl Found {
         Self { code, evidence, remedy, image_scale: None }
     }
 
-    /// Images that were turned after the calibration; people who lie in them say which way.
-    fn turned(convention: KeypointConvention, view: &View, evidence: String) -> Option<Self> {
-        let turn = quarter_turn(convention, view)?.name();
-        let evidence = format!("{evidence}; people lie on their sides, as after a turn of the images {turn}");
+    /// The same, or images that were turned after the calibration, where people lie in them and say which way.
+    fn or_turned(self, convention: KeypointConvention, view: &View) -> Self {
+        let Some(turn) = quarter_turn(convention, view) else { return self };
+        let evidence =
+            format!("{}; people lie on their sides, as after a turn of the images {}", self.evidence, turn.name());
         let remedy = "turn K with the images, or detect people in the unturned video";
-        Some(Self::new(SuspicionCode::Rotated, evidence, remedy))
+        Self::new(SuspicionCode::Rotated, evidence, remedy)
     }
 }
 
@@ -99,8 +100,7 @@ fn of_keypoints(convention: KeypointConvention, view: &View, size: Vector2<f64>)
         if turned != size && holds_all(turned) {
             let evidence = "its keypoints fit an image with width and height exchanged".to_owned();
             let remedy = "was the video rotated by 90 degrees? calibrate it as it is";
-            let upright = |evidence| Found::new(SuspicionCode::Rotated, evidence, remedy);
-            return Some(Found::turned(convention, view, evidence.clone()).unwrap_or_else(|| upright(evidence)));
+            return Some(Found::new(SuspicionCode::Rotated, evidence, remedy).or_turned(convention, view));
         }
         let evidence = format!("its keypoints lie outside the image ({:.0} % of them)", 100.0 * outside);
         let remedy = "does the calibration belong to another resolution?";
@@ -134,8 +134,7 @@ fn of_principal_point(convention: KeypointConvention, view: &View) -> Option<Fou
         Centre::Exchanged => {
             let evidence = format!("{off}, and near it with cx and cy exchanged");
             let remedy = "exchange cx and cy, or calibrate the video in the orientation of its keypoints";
-            let upright = |evidence| Found::new(SuspicionCode::PrincipalPoint, evidence, remedy);
-            Found::turned(convention, view, evidence.clone()).unwrap_or_else(|| upright(evidence))
+            Found::new(SuspicionCode::PrincipalPoint, evidence, remedy).or_turned(convention, view)
         }
         Centre::OtherSize(factor) => {
             let evidence = format!("{off}: K belongs to images {factor:.2} times as large");
