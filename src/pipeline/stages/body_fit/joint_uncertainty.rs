@@ -226,8 +226,8 @@ fn joints_by_border(
     for joint in 0..N_JOINTS {
         let mut rows = by_border.fixed_rows_mut::<3>(3 * joint);
         rows.columns_range_mut(border.betas()).copy_from(&by_betas[joint]);
-        for (kind, block) in joint_by_bones(joint, &skeleton.rotations) {
-            let mut columns = rows.fixed_columns_mut::<3>(border.bones().start + 3 * kind);
+        for (bone, block) in joint_by_bones(joint, &skeleton.rotations) {
+            let mut columns = rows.fixed_columns_mut::<3>(border.bones().start + 3 * bone);
             columns += block;
         }
     }

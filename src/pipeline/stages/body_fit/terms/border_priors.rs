@@ -57,8 +57,7 @@ impl BorderTerm for ShapePrior {
     }
 }
 
-/// `|offsets|^2 / (2 sigma^2)` over the person's offsets of all kinds of bones: bones are nearly as long as the betas
-/// say.
+/// `|offsets|^2 / (2 sigma^2)` over the person's offsets of all bones: bones are nearly as long as the betas say.
 pub(crate) struct BoneLengthPrior {
     /// Standard deviation per axis, m.
     pub sigma: f64,

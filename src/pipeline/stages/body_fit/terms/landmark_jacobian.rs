@@ -123,8 +123,8 @@ impl BorderJacobian {
                 Some((_, sum)) => *sum += block,
                 None => blocks.push((column, block)),
             };
-            for (kind, block) in landmark_by_bones(shown, &skeleton.rotations) {
-                add(border.bones().start + 3 * kind, block);
+            for (bone, block) in landmark_by_bones(shown, &skeleton.rotations) {
+                add(border.bones().start + 3 * bone, block);
             }
             if let Some(moved) = table.of_landmark(landmark) {
                 let block = skeleton.rotations[moved.joint] * moved.mirror;

@@ -2,7 +2,7 @@
 
 use super::camera_unknowns::CameraUnknowns;
 use crate::body::anthropometry::N_BETAS;
-use crate::body::bone_offsets::N_BONE_KINDS;
+use crate::body::bone_offsets::N_BONES;
 use crate::body::detector_offsets::OffsetTable;
 use crate::body::kinematics::{Pose, moving_joints};
 use crate::body::model::{Betas, BodyModel};
@@ -74,10 +74,10 @@ impl Border<'_> {
         0..if self.shape == Shape::Free { N_BETAS } else { 0 }
     }
 
-    /// Columns of the bone offsets, three per kind of bone.
+    /// Columns of the bone offsets, three per bone.
     pub(crate) fn bones(&self) -> Range<usize> {
         let first = self.betas().end;
-        first..first + if self.bias.is_some() { 3 * N_BONE_KINDS } else { 0 }
+        first..first + if self.bias.is_some() { 3 * N_BONES } else { 0 }
     }
 
     /// Columns of the keypoint offsets, three per kind of keypoint.
