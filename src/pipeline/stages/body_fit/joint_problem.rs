@@ -6,6 +6,7 @@
 
 mod betas_alone;
 mod camera_covariance;
+mod following;
 mod marginal_step;
 mod over_motions;
 mod proportions;

@@ -339,7 +339,8 @@ fn focal_lengths_are_found_with_the_cameras() {
 
 /// Given poses counted as if they were exact: cameras of `extrinsics: refine` were stated too sure, here at 0.65 times what two independent
 /// measurements leave together. They are stated at up to 1.3 times that: priors count five times, as slow errors ask for, and those of
-/// this scene are white. Where poses are given, channels determine fewer directions, and their spread is enlarged by a few per cent less.
+/// this scene are white. What is compared with is enlarged more: cameras without given poses leave C / (C - k) less of the variance in the
+/// residuals, for the 17 directions of four cameras and the 200 channels of one person, which count as 100, 9 % of a deviation.
 #[test]
 fn given_poses_err_as_well() {
     let truth = smooth_motion(5, 2.0, 30.0);
@@ -357,7 +358,7 @@ fn given_poses_err_as_well() {
     for ((refined, free), given) in sigmas(Some(poses)).iter().zip(free).zip(given) {
         let both = free.position.hypot(given.position);
         let expected = free.position * given.position / both;
-        assert!((0.95..1.3).contains(&(refined.position / expected)), "{} {expected}", refined.position);
+        assert!((0.9..1.3).contains(&(refined.position / expected)), "{} {expected}", refined.position);
     }
 }
 

@@ -13,8 +13,9 @@
 //!
 //! - `C / (C - k)` for the k directions of the cameras that C independent channels determine (the first order of MacKinnon and
 //!   White 1985), as many as there are over the design effect;
-//! - `1 + rho p / (n - p)` for a person's n equations a frame: a motion of p unknowns a frame follows errors that are as slow as it,
-//!   of which it leaves `(n - p) / n`, but not those that change from frame to frame;
+//! - one over what the person's own unknowns (motion, betas, bones) leave of errors as the channels have them
+//!   ([`unabsorbed`](super::super::terms::whitened_pixels::WhitenedPixels::unabsorbed)), between 0.65 and 0.75 with the usual
+//!   cameras. Motions follow slow errors; but cameras, too, show what is slow of errors that change from frame to frame;
 //! - what landmarks of one region share ([`shared_error_variance`]): cameras and motions follow it, so that hardly any of it is left in
 //!   the residuals.
 //!
@@ -22,22 +23,23 @@
 //! `c^2 P`, and by what it holds fewer directions are left to the channels. Without it cameras of realistic noise (`extrinsics: refine`,
 //! 15 captures) were 1.13 and 1.09 times their stated deviations off; now they are 0.99 and 1.00.
 
-use super::super::pixel_residuals::{DetectedPixels, shared_error_variance, variance_per_residual};
+use super::super::pixel_residuals::{DetectedPixels, shared_error_variance};
 use super::super::session_state::SessionState;
-use super::super::terms::landmark_jacobian::{LandmarkJacobian, LinearLandmarks};
-use super::super::terms::whitened_pixels::Positions;
 use super::super::terms::whitened_pixels::scores::Movements;
-use super::{JointProblem, Member, Reduced, cameras_of, with_bones};
+use super::following::Following;
+use super::{JointProblem, Member, Reduced, cameras_of};
 use crate::optim::robust::Curvature;
-use nalgebra::{DMatrix, DVector, Matrix3xX};
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-/// Correlation of slow errors of two landmarks of a region, as they move cameras: on real detections 0.38 for the hips and 0.49 for nose
-/// and eyes, 0.2 as the mean of a region (docs/method.md 15), but not all landmarks of a region pull a camera in the same direction.
-/// The cameras' errors are 0.8 times as stated on realistic noise, 0.95 on the presets' and 1.2 on Shelf.
-const SHARED: f64 = 0.15;
+/// Correlation of slow errors of two landmarks of a region: the mean of a region on real detections (docs/method.md 15; 0.38 for the hips,
+/// 0.49 for nose and eyes). The cameras' errors are 0.8 times as stated on realistic noise, 0.85 to 1.0 on the presets' and 1.1 to 1.3
+/// on Shelf, whose published cameras err as well.
+const SHARED: f64 = 0.2;
+
+/// Least share of the errors that a person is taken to leave in the residuals: fewer would be of keypoints that scarcely determine
+/// the person.
+const MIN_UNABSORBED: f64 = 0.1;
 
 impl JointProblem<'_> {
     /// At the minimum, whose betas without bones members get; the cameras are the only unknowns of the session. `None` where the channels do not determine them.
@@ -47,7 +49,7 @@ impl JointProblem<'_> {
         let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
         let session = SessionState { offsets: Vec::new(), cameras: cameras_of(members) };
         let reduced = self.reduced((members, &pixels), &session, self.systems(members), 0.0)?;
-        let following = self.following(&reduced, (members, &pixels), 0);
+        let following = self.following(&reduced, (members, &pixels));
         let found = following.and_then(|following| self.spread(&reduced, (members, &pixels), &following, slow));
         self.close(reduced, members);
         found
@@ -65,12 +67,14 @@ impl JointProblem<'_> {
         let n_free = basis.ncols();
         let (mut spread, mut n_independent) = (DMatrix::zeros(n_free, n_free), 0.0);
         let mut curvature = Curvature::default();
-        let scores_of = |((member, pixels), following)| self.scores(basis, (member, pixels), following, slow);
+        let per_deviation = reduced.per_deviation()?;
+        let scores_of =
+            |((member, pixels), following)| self.scores(basis, &per_deviation, (member, pixels), following, slow);
         let scores = members.par_iter().zip(pixels).zip(following).map(scores_of).collect::<Option<Vec<_>>>()?;
-        for PersonScores { channels, curvature: of_person, design, followed } in scores {
+        for PersonScores { channels, curvature: of_person, design, unabsorbed } in scores {
             n_independent += channels.len() as f64 / design;
             curvature = curvature.and(of_person);
-            channels.iter().for_each(|score| spread.ger(design * followed, score, score, 1.0));
+            channels.iter().for_each(|score| spread.ger(design / unabsorbed, score, score, 1.0));
         }
         let n_cameras = members.first()?.observations.cameras.len();
         let of_priors = self.cameras.map(|priors| basis.tr_mul(&(priors.precision(n_cameras) * basis)));
@@ -89,41 +93,24 @@ impl JointProblem<'_> {
         Some(CameraSpread { basis: basis.clone(), inverse_hessian, curvature_per_weight, scores: spread })
     }
 
-    /// All persons' landmarks as they follow the free directions of the session, and `n_samples` of their errors.
-    pub(super) fn following(
-        &self,
-        reduced: &Reduced,
-        (members, pixels): (&[Member], &[DetectedPixels]),
-        n_samples: usize,
-    ) -> Option<Vec<Following>> {
-        let basis = reduced.basis.as_ref()?;
-        let of_person = |(person, (member, pixels)): (usize, (&Member, &DetectedPixels))| {
-            let model = with_bones(self.context.model, &member.bones);
-            let problem = self.problem(&model, member, pixels);
-            let paths = problem.linearised_paths(&member.state);
-            let (movements, samples) = reduced.landmark_movements(person, basis, &paths, n_samples);
-            let positions = paths.into_iter().map(|frame| frame.positions).collect();
-            Following { positions, movements, samples, n_unknowns: 3 * problem.unknowns.n_groups() }
-        };
-        Some(members.par_iter().zip(pixels).enumerate().map(of_person).collect())
-    }
-
     /// Scores of one person's channels by the free directions of the session.
     fn scores(
         &self,
         basis: &DMatrix<f64>,
+        per_deviation: &DMatrix<f64>,
         (member, pixels): (&Member, &DetectedPixels),
         following: &Following,
         slow: f64,
     ) -> Option<PersonScores> {
         let DetectedPixels::Correlated(over_time) = pixels else { return None };
         let movements = self.movements(basis, member, following);
-        let curvature = over_time.curvature(&member.observations.cameras, &following.positions);
-        let channels = over_time.scores(&member.observations.cameras, &following.positions, &movements);
-        let of_slow = variance_per_residual(member.observations.equations_per_frame(), following.n_unknowns as f64);
-        let followed = 1.0 + slow * (of_slow - 1.0);
+        let (cameras, positions) = (&member.observations.cameras, &following.positions);
+        let curvature = over_time.curvature(cameras, positions);
+        let channels = over_time.scores(cameras, positions, &movements);
+        let unabsorbed = over_time.unabsorbed((cameras, positions), &movements, per_deviation, &following.of_person);
+        let unabsorbed = unabsorbed.max(MIN_UNABSORBED);
         let design = shared_error_variance(over_time.landmarks.len(), SHARED * slow);
-        Some(PersonScores { channels, curvature, design, followed })
+        Some(PersonScores { channels, curvature, design, unabsorbed })
     }
 
     /// By the free directions of the session.
@@ -136,18 +123,6 @@ impl JointProblem<'_> {
         let of_camera = self.camera_columns(member.observations.cameras.len()).unknowns;
         Movements { landmarks: &following.movements, cameras: basis, of_camera }
     }
-}
-
-/// One person's landmarks, and how they follow the free directions of the session.
-pub(super) struct Following {
-    /// In the world. `[frame][observed landmark]`, as the next two.
-    pub positions: Positions,
-    /// Per unit of each free direction. [3, free directions]
-    movements: ByLandmark,
-    /// Errors of the positions while the session stays, drawn from what the motion's system leaves open. [3, samples]
-    pub samples: ByLandmark,
-    /// Of a frame.
-    n_unknowns: usize,
 }
 
 /// How far the cameras may be from where they are, in the free directions of the session.
@@ -181,41 +156,6 @@ struct PersonScores {
     curvature: Curvature,
     /// Variance of a sum of the errors over that of as many independent ones.
     design: f64,
-    /// Variance of the errors over that of the residuals that the motion leaves of them.
-    followed: f64,
-}
-
-/// By frame and observed landmark.
-type ByLandmark = Vec<Vec<Matrix3xX<f64>>>;
-
-impl Reduced {
-    /// Movement of a person's landmarks per unit of each free direction of the session, which the person follows, and samples of
-    /// their errors.
-    fn landmark_movements(
-        &self,
-        person: usize,
-        basis: &DMatrix<f64>,
-        paths: &[LinearLandmarks],
-        n_samples: usize,
-    ) -> (ByLandmark, ByLandmark) {
-        let own = -(&self.own_parts[person].0 * basis);
-        let mut border = DMatrix::zeros(own.nrows() + basis.nrows(), basis.ncols());
-        border.rows_mut(0, own.nrows()).copy_from(&own);
-        border.rows_mut(own.nrows(), basis.nrows()).copy_from(basis);
-        let mut rng = ChaCha8Rng::seed_from_u64(person as u64);
-        let frames = self.people[person].responses_and_samples(&border, n_samples, &mut rng);
-        let movement = |t: usize, jacobian: LandmarkJacobian| {
-            let mut by_frame = Matrix3xX::zeros(basis.ncols() + n_samples);
-            for (first, block) in jacobian.by_frame {
-                by_frame += block * frames[t].fixed_rows::<3>(*first);
-            }
-            let samples = by_frame.columns(basis.ncols(), n_samples).into_owned();
-            let by_border = jacobian.by_border.dense(own.nrows()) * &own;
-            (by_border + by_frame.columns(0, basis.ncols()), samples)
-        };
-        let of_frame = |(t, landmarks): (usize, &LinearLandmarks)| {
-            (0..landmarks.len()).map(|l| movement(t, landmarks.jacobian(l))).unzip()
-        };
-        paths.par_iter().enumerate().map(of_frame).unzip()
-    }
+    /// Share of the errors' variance, as the session's directions show it, that the person's own unknowns leave in the residuals.
+    unabsorbed: f64,
 }

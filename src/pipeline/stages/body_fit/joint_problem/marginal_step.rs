@@ -25,7 +25,8 @@ use super::super::pixel_residuals::DetectedPixels;
 use super::super::session_state::SessionState;
 use super::super::terms::camera_unknowns::POSE;
 use super::super::terms::whitened_pixels::spread::Spread;
-use super::camera_covariance::{CameraSpread, Following};
+use super::camera_covariance::CameraSpread;
+use super::following::Following;
 use super::{JointProblem, Member, Minimum, Reduced, Stopping, replace_all};
 use crate::geometry::Rigid;
 use crate::geometry::free_network::CameraCovariance;
@@ -46,10 +47,6 @@ const ROUNDING: f64 = 0.5;
 /// Parts of the step that are tried, the first one first.
 const PARTS: [f64; 3] = [1.0, 0.5, 0.25];
 
-/// Draws from the spread of the motions: `g` sums thousands of independent directions, and errs by some hundredths of a standard deviation of
-/// the cameras. The exact spread (Takahashi's recursion) costs ten times as much.
-pub(super) const N_SAMPLES: usize = 16;
-
 impl JointProblem<'_> {
     /// [`Self::minimised`], then from the minimum of the cost to that of the cost over the cameras alone. Returns the covariance of the
     /// cameras' poses; `None` where the channels do not determine them.
@@ -66,7 +63,7 @@ impl JointProblem<'_> {
         // The normal equations of where the last step began, if that was short.
         let reduced = reduced.or_else(|| self.reduced((members, &pixels), &session, self.systems(members), 0.0));
         let Some(reduced) = reduced else { return Ok(None) };
-        let following = self.following(&reduced, (members, &pixels), N_SAMPLES);
+        let following = self.following(&reduced, (members, &pixels));
         let spread = following.and_then(|following| {
             let spread = self.spread(&reduced, (members, &pixels), &following, slow);
             self.step_to_likeliest(&reduced, (members, &pixels), &following, &session)?;
@@ -155,12 +152,12 @@ impl Following {
     fn spreads(&self) -> Vec<Vec<Spread>> {
         let of_landmark = |t: usize, k: usize| {
             [0, 1, 2].map(|lag| {
-                let own = &self.samples[t][k];
+                let own = &self.of_motion[t][k];
                 let product = |later: &Vec<Matrix3xX<f64>>| &later[k] * own.transpose() / own.ncols() as f64;
-                self.samples.get(t + lag).map_or_else(Matrix3::zeros, product)
+                self.of_motion.get(t + lag).map_or_else(Matrix3::zeros, product)
             })
         };
-        let of_frame = |t: usize| (0..self.samples[t].len()).map(|k| of_landmark(t, k)).collect();
-        (0..self.samples.len()).into_par_iter().map(of_frame).collect()
+        let of_frame = |t: usize| (0..self.of_motion[t].len()).map(|k| of_landmark(t, k)).collect();
+        (0..self.of_motion.len()).into_par_iter().map(of_frame).collect()
     }
 }

@@ -8,7 +8,7 @@
 
 use super::super::pixel_residuals::DetectedPixels;
 use super::super::session_state::SessionState;
-use super::marginal_step::{N_SAMPLES, SHARE};
+use super::marginal_step::SHARE;
 use super::{DAMPING, JointProblem, Member, Minimum, Reduced, Stopping, cameras_of, replace_all};
 use crate::progress::Canceled;
 use nalgebra::DVector;
@@ -53,7 +53,7 @@ impl JointProblem<'_> {
 
     /// `None` where the motions' spread is not finite.
     fn course(&self, reduced: &Reduced, (members, pixels): (&[Member], &[DetectedPixels])) -> Option<Course> {
-        let following = self.following(reduced, (members, pixels), N_SAMPLES)?;
+        let following = self.following(reduced, (members, pixels))?;
         let of_spread = self.spread_gradient(reduced, (members, pixels), &following)? * SHARE;
         let downhill = reduced.downhill() - &of_spread;
         let (to_minimum, sigmas) = reduced.to_minimum(&downhill);

@@ -56,6 +56,12 @@ impl Reduced {
         Some(Self { people, own_parts, basis, hessian, factor, right })
     }
 
+    /// The free directions that are a standard deviation each, independent of each other, in columns: `L^-T` of the Hessian `L L^T`.
+    pub(super) fn per_deviation(&self) -> Option<DMatrix<f64>> {
+        let n = self.hessian.nrows();
+        self.factor.l_dirty().tr_solve_lower_triangular(&DMatrix::identity(n, n))
+    }
+
     /// The persons' systems, for the next ones.
     pub(super) fn into_systems(self) -> Vec<BlockBanded> {
         self.people.into_iter().map(Eliminated::into_system).collect()

@@ -8,8 +8,8 @@ use super::data::DataSource;
 use super::noise_process::{NoiseProcess, PathNoise};
 use super::tests::{Fixture, N_FRAMES, assert_gradient_of, keep, wave};
 use super::unknowns::{Border, CameraColumns, MotionState, Shape};
-use super::whitened_pixels::WhitenedPixels;
 use super::whitened_pixels::scores::Movements;
+use super::whitened_pixels::{Positions, WhitenedPixels};
 use crate::body::BodyModel;
 use crate::body::kinematics::{landmark_position, posed};
 use crate::geometry::{Rigid, rotation};
@@ -46,6 +46,58 @@ fn two_views(fixture: &Fixture) -> Observations {
         pixels.sort_by_key(|pixel| pixel.landmark);
     }
     observations
+}
+
+/// [`two_views`] with pixels where the body is.
+fn exact_views(fixture: &Fixture) -> Observations {
+    let mut observations = two_views(fixture);
+    let body = fixture.surroundings.model.shaped(&fixture.state.betas);
+    for (pixels, pose) in observations.pixels.iter_mut().zip(&fixture.state.poses) {
+        let skeleton = posed(&body, pose);
+        for pixel in pixels {
+            let camera = &observations.cameras[pixel.camera];
+            let position = landmark_position(&fixture.surroundings.model, &body, &skeleton, pixel.landmark);
+            let in_camera = camera.camera_from_world.transform(&position);
+            pixel.pixel = camera.intrinsics.pixel_from_camera(&in_camera).unwrap();
+        }
+    }
+    observations
+}
+
+/// The observed landmarks of the fixture's motion.
+fn positions_of(fixture: &Fixture, pixels: &WhitenedPixels) -> Positions {
+    let body = fixture.surroundings.model.shaped(&fixture.state.betas);
+    let at = |pose| {
+        let skeleton = posed(&body, pose);
+        let position = |&landmark: &usize| landmark_position(&fixture.surroundings.model, &body, &skeleton, landmark);
+        pixels.landmarks.iter().map(position).collect::<Vec<_>>()
+    };
+    fixture.state.poses.iter().map(at).collect()
+}
+
+/// Some movements of all observed landmarks in two directions.
+fn some_movements(pixels: &WhitenedPixels, seed: usize) -> Vec<Vec<Matrix3xX<f64>>> {
+    let moves = |seed: usize| Matrix3xX::from_fn(2, |i, k| wave(seed + 5 * i + 11 * k));
+    let of_frame = |t| (0..pixels.landmarks.len()).map(|l| moves(seed + 17 * t + 3 * l)).collect();
+    (0..N_FRAMES).map(of_frame).collect()
+}
+
+/// Landmarks and cameras moved by `d` in the directions of `landmarks` and `of_cameras`.
+fn moved_by(
+    d: &DVector<f64>,
+    (positions, cameras): (&Positions, &[PosedCamera]),
+    (landmarks, of_cameras): (&[Vec<Matrix3xX<f64>>], &DMatrix<f64>),
+) -> (Positions, Vec<PosedCamera>) {
+    let point = |(point, by): (&Vector3<f64>, &Matrix3xX<f64>)| point + by * d;
+    let of_frame =
+        |(points, by): (&Vec<Vector3<f64>>, &Vec<Matrix3xX<f64>>)| points.iter().zip(by).map(point).collect();
+    let step = of_cameras * d;
+    let mut cameras = cameras.to_vec();
+    for (k, camera) in cameras.iter_mut().enumerate() {
+        let part = |i: usize| step.fixed_rows::<3>(6 * k + i).into_owned();
+        camera.camera_from_world = camera.camera_from_world.perturbed_left(&part(0), &part(3));
+    }
+    (positions.iter().zip(landmarks).map(of_frame).collect(), cameras)
 }
 
 fn problem<'a>(
@@ -89,33 +141,54 @@ fn scores_of_channels_add_up_to_the_gradient() {
     let fixture = Fixture::new();
     let observations = two_views(&fixture);
     let pixels = whitened(&fixture, &observations);
-    let body = fixture.surroundings.model.shaped(&fixture.state.betas);
-    let at = |pose| {
-        let skeleton = posed(&body, pose);
-        let position = |&landmark: &usize| landmark_position(&fixture.surroundings.model, &body, &skeleton, landmark);
-        pixels.landmarks.iter().map(position).collect::<Vec<_>>()
-    };
-    let positions: Vec<Vec<Vector3<f64>>> = fixture.state.poses.iter().map(at).collect();
-    let moves = |seed: usize| Matrix3xX::from_fn(2, |i, k| wave(seed + 5 * i + 11 * k));
-    let landmarks: Vec<Vec<Matrix3xX<f64>>> =
-        (0..N_FRAMES).map(|t| (0..pixels.landmarks.len()).map(|l| moves(17 * t + 3 * l)).collect()).collect();
+    let (positions, landmarks) = (positions_of(&fixture, &pixels), some_movements(&pixels, 0));
     let of_cameras = DMatrix::from_fn(12, 2, |i, k| wave(7 * i + k));
     let movements = Movements { landmarks: &landmarks, cameras: &of_cameras, of_camera: CameraUnknowns::default() };
     let scores = pixels.scores(&observations.cameras, &positions, &movements);
     assert_eq!(scores.len(), 4 * pixels.landmarks.len());
     let sum = scores.iter().fold(DVector::zeros(2), |sum, score| sum + score);
     assert_gradient(sum.as_slice(), |d| {
-        let d = DVector::from_column_slice(d);
-        let point = |(point, by): (&Vector3<f64>, &Matrix3xX<f64>)| point + by * &d;
-        let moved = positions.iter().zip(&landmarks).map(|(points, by)| points.iter().zip(by).map(point).collect());
-        let step = &of_cameras * &d;
-        let mut cameras = observations.cameras.clone();
-        for (k, camera) in cameras.iter_mut().enumerate() {
-            let part = |i: usize| step.fixed_rows::<3>(6 * k + i).into_owned();
-            camera.camera_from_world = camera.camera_from_world.perturbed_left(&part(0), &part(3));
-        }
-        pixels.cost(&cameras, &moved.collect())
+        let at = (&positions, observations.cameras.as_slice());
+        let (moved, cameras) = moved_by(&DVector::from_column_slice(d), at, (&landmarks, &of_cameras));
+        pixels.cost(&cameras, &moved)
     });
+}
+
+/// With pixels where the body is, scores are linear in what moves: the leverage is made of their differences.
+#[test]
+fn what_a_person_absorbs_matches_differences_of_scores() {
+    let fixture = Fixture::new();
+    let observations = exact_views(&fixture);
+    let pixels = whitened(&fixture, &observations);
+    let (positions, landmarks) = (positions_of(&fixture, &pixels), some_movements(&pixels, 0));
+    let (samples, held) = (some_movements(&pixels, 400), DMatrix::zeros(12, 2));
+    let of_cameras = DMatrix::from_fn(12, 2, |i, k| wave(7 * i + k));
+    let movements = Movements { landmarks: &landmarks, cameras: &of_cameras, of_camera: CameraUnknowns::default() };
+    let at = (&positions, observations.cameras.as_slice());
+    // Of each channel, by one of the directions.
+    let differences = |moving: (&[Vec<Matrix3xX<f64>>], &DMatrix<f64>), direction: usize| {
+        let scores = |size: f64| {
+            let mut d = DVector::zeros(2);
+            d[direction] = size;
+            let (moved, cameras) = moved_by(&d, at, moving);
+            pixels.scores(&cameras, &moved, &movements)
+        };
+        let pairs = scores(1e-5).into_iter().zip(scores(-1e-5));
+        pairs.map(|(after, before)| (after - before) / 2e-5).collect::<Vec<_>>()
+    };
+    let per_deviation = DMatrix::from_row_slice(2, 2, &[0.7, 0.2, 0.0, 1.3]);
+    let by_movements = [0, 1].map(|k| differences((&landmarks, &of_cameras), k));
+    let n_channels = by_movements[0].len();
+    let of_errors = |c: usize| {
+        let hessian = DMatrix::from_columns(&[by_movements[0][c].clone(), by_movements[1][c].clone()]);
+        (per_deviation.transpose() * hessian * &per_deviation).trace()
+    };
+    let errors: f64 = (0..n_channels).map(of_errors).sum();
+    let by_samples = [0, 1].map(|s| differences((&samples, &held), s));
+    let squares = by_samples.iter().flatten().map(|score| per_deviation.tr_mul(score).norm_squared());
+    let expected = 1.0 - squares.sum::<f64>() / 2.0 / errors;
+    let found = pixels.unabsorbed((&observations.cameras, &positions), &movements, &per_deviation, &samples);
+    assert!((found - expected).abs() < 1e-6 * expected.abs(), "{found} instead of {expected}");
 }
 
 /// With pixels where the body is, the Gauss-Newton system is exact: a step from nearby leaves a thousandth of the cost.
@@ -123,17 +196,7 @@ fn scores_of_channels_add_up_to_the_gradient() {
 #[test]
 fn one_step_from_nearby_removes_the_cost_of_paths() {
     let fixture = Fixture::new();
-    let mut observations = two_views(&fixture);
-    let body = fixture.surroundings.model.shaped(&fixture.state.betas);
-    for (pixels, pose) in observations.pixels.iter_mut().zip(&fixture.state.poses) {
-        let skeleton = posed(&body, pose);
-        for pixel in pixels {
-            let camera = &observations.cameras[pixel.camera];
-            let position = landmark_position(&fixture.surroundings.model, &body, &skeleton, pixel.landmark);
-            let in_camera = camera.camera_from_world.transform(&position);
-            pixel.pixel = camera.intrinsics.pixel_from_camera(&in_camera).unwrap();
-        }
-    }
+    let observations = exact_views(&fixture);
     let pixels = whitened(&fixture, &observations);
     let objective = fixture.objective(&fixture.surroundings.model, DataSource::Paths(&pixels), Shape::Held);
     let mut problem = Objective { observations: &observations, ..objective }.problem();

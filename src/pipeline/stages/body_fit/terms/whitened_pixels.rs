@@ -4,6 +4,7 @@
 //! ([`NoiseProcess`](super::noise_process::NoiseProcess)), which depends on the landmark in up to three successive frames, on
 //! the camera, and on what shapes the body.
 
+mod leverage;
 mod likelihood;
 pub(crate) mod scores;
 pub(crate) mod spread;
