@@ -21,7 +21,7 @@ impl WhitenedPixels {
     ///
     /// with the derivatives `A_c = dr_c/d(movements) per_deviation` of a channel's innovations r and their weights W: a residual is
     /// `e - J x` for what the errors e move the person by, whose covariance is that of the errors that remain, `H^-1`, and x is drawn
-    /// from it (the leverage of clusters; Bell and McCaffrey 2002, Survey Methodology 28:169, Eq. 6, here one number for a person).
+    /// from it (the leverage of clusters; Bell and McCaffrey 2002, Survey Methodology 28:169; here one number for a person).
     ///
     /// `samples`: draws of `x`, as movements of the landmarks. `[frame][observed landmark]`, [3, samples]
     pub(crate) fn unabsorbed(
