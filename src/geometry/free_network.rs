@@ -105,6 +105,11 @@ impl CameraCovariance {
         Self::with_arm(poses, covariance, target_from_world.scale * self.arm)
     }
 
+    /// In the gauge that it came in. [6 cameras, 6 cameras]
+    pub fn matrix(&self) -> &DMatrix<f64> {
+        &self.covariance
+    }
+
     /// Number of cameras.
     pub fn n_cameras(&self) -> usize {
         self.poses.len()

@@ -257,6 +257,8 @@ fn refined_focal(
     let found =
         FoundFactors::new(&log_factors, &inverse_hessian, &covariance, &(prior.precision() * priors.overcount))?;
     let (likeliest, log_evidence) = prior.likeliest(&found);
+    tracing::debug!(?likeliest, log_evidence, "spread of focal lengths");
+    tracing::trace!(?found, "focal lengths shown");
     let (_, posterior) = found.under(likeliest)?;
     let factor = |k: usize| {
         let value = log_factors[k].exp();

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 /// Draws of a person's errors: the gradient of a marginal step sums thousands of independent directions, and errs by some hundredths of a
 /// standard deviation of the cameras. The exact spread (Takahashi's recursion) costs ten times as much.
-const N_SAMPLES: usize = 16;
+pub(super) const N_SAMPLES: usize = 16;
 
 /// By frame and observed landmark.
 pub(super) type ByLandmark = Vec<Vec<Matrix3xX<f64>>>;
@@ -27,6 +27,23 @@ pub(super) struct Following {
     pub of_motion: ByLandmark,
     /// The same with those of betas and bones: only the session stays.
     pub of_person: ByLandmark,
+}
+
+impl Following {
+    /// The landmarks' movements while the session moves, in the columns of `session` by its free directions. [3, columns]
+    pub(super) fn along(&self, session: &DMatrix<f64>) -> ByLandmark {
+        let of_frame = |frame: &Vec<Matrix3xX<f64>>| frame.iter().map(|moved| moved * session).collect();
+        self.movements.par_iter().map(of_frame).collect()
+    }
+
+    /// Draws of the errors of everything: those of the person with those of the session, in columns. [3, samples]
+    pub(super) fn drawn(&self, session: &DMatrix<f64>) -> ByLandmark {
+        let mut drawn = self.along(session);
+        for (all, of_person) in drawn.iter_mut().flatten().zip(self.of_person.iter().flatten()) {
+            *all += of_person;
+        }
+        drawn
+    }
 }
 
 impl JointProblem<'_> {

@@ -2,6 +2,8 @@
 
 use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, Eliminated, damped};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
 /// A step of all unknowns.
@@ -56,10 +58,10 @@ impl Reduced {
         Some(Self { people, own_parts, basis, hessian, factor, right })
     }
 
-    /// The free directions that are a standard deviation each, independent of each other, in columns: `L^-T` of the Hessian `L L^T`.
-    pub(super) fn per_deviation(&self) -> Option<DMatrix<f64>> {
-        let n = self.hessian.nrows();
-        self.factor.l_dirty().tr_solve_lower_triangular(&DMatrix::identity(n, n))
+    /// Draws of the session's errors by its free directions: `L^-T w` of the Hessian `L L^T`, w white. [free directions, n]
+    pub(super) fn session_draws(&self, n: usize, rng: &mut ChaCha8Rng) -> Option<DMatrix<f64>> {
+        let white = DMatrix::from_fn(self.hessian.nrows(), n, |_, _| StandardNormal.sample(rng));
+        self.factor.l_dirty().tr_solve_lower_triangular(&white)
     }
 
     /// The persons' systems, for the next ones.

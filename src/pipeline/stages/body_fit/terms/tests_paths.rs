@@ -156,38 +156,35 @@ fn scores_of_channels_add_up_to_the_gradient() {
 
 /// With pixels where the body is, scores are linear in what moves: the leverage is made of their differences.
 #[test]
-fn what_a_person_absorbs_matches_differences_of_scores() {
+fn what_unknowns_absorb_matches_differences_of_scores() {
     let fixture = Fixture::new();
     let observations = exact_views(&fixture);
     let pixels = whitened(&fixture, &observations);
-    let (positions, landmarks) = (positions_of(&fixture, &pixels), some_movements(&pixels, 0));
-    let (samples, held) = (some_movements(&pixels, 400), DMatrix::zeros(12, 2));
-    let of_cameras = DMatrix::from_fn(12, 2, |i, k| wave(7 * i + k));
-    let movements = Movements { landmarks: &landmarks, cameras: &of_cameras, of_camera: CameraUnknowns::default() };
-    let at = (&positions, observations.cameras.as_slice());
-    // Of each channel, by one of the directions.
-    let differences = |moving: (&[Vec<Matrix3xX<f64>>], &DMatrix<f64>), direction: usize| {
+    let (positions, at) = (positions_of(&fixture, &pixels), observations.cameras.as_slice());
+    let landmarks = [some_movements(&pixels, 0), some_movements(&pixels, 400)];
+    let of_cameras = [0, 90].map(|first| DMatrix::from_fn(12, 2, |i, k| wave(7 * i + k + first)));
+    let movements = |k: usize| Movements {
+        landmarks: &landmarks[k],
+        cameras: &of_cameras[k],
+        of_camera: CameraUnknowns::default(),
+    };
+    let (directions, draws) = (movements(0), movements(1));
+    // Of each channel's scores by the directions, along one column of some movements.
+    let differences = |moving: &Movements, column: usize| {
         let scores = |size: f64| {
             let mut d = DVector::zeros(2);
-            d[direction] = size;
-            let (moved, cameras) = moved_by(&d, at, moving);
-            pixels.scores(&cameras, &moved, &movements)
+            d[column] = size;
+            let (moved, cameras) = moved_by(&d, (&positions, at), (moving.landmarks, moving.cameras));
+            pixels.scores(&cameras, &moved, &directions)
         };
         let pairs = scores(1e-5).into_iter().zip(scores(-1e-5));
         pairs.map(|(after, before)| (after - before) / 2e-5).collect::<Vec<_>>()
     };
-    let per_deviation = DMatrix::from_row_slice(2, 2, &[0.7, 0.2, 0.0, 1.3]);
-    let by_movements = [0, 1].map(|k| differences((&landmarks, &of_cameras), k));
-    let n_channels = by_movements[0].len();
-    let of_errors = |c: usize| {
-        let hessian = DMatrix::from_columns(&[by_movements[0][c].clone(), by_movements[1][c].clone()]);
-        (per_deviation.transpose() * hessian * &per_deviation).trace()
-    };
-    let errors: f64 = (0..n_channels).map(of_errors).sum();
-    let by_samples = [0, 1].map(|s| differences((&samples, &held), s));
-    let squares = by_samples.iter().flatten().map(|score| per_deviation.tr_mul(score).norm_squared());
-    let expected = 1.0 - squares.sum::<f64>() / 2.0 / errors;
-    let found = pixels.unabsorbed((&observations.cameras, &positions), &movements, &per_deviation, &samples);
+    let errors: f64 =
+        [0, 1].iter().flat_map(|&k| differences(&directions, k).into_iter().map(move |score| score[k])).sum();
+    let absorbed: f64 = [0, 1].iter().flat_map(|&k| differences(&draws, k)).map(|score| score.norm_squared()).sum();
+    let expected = 1.0 - absorbed / 2.0 / errors;
+    let found = pixels.unabsorbed((at, &positions), &directions, &draws);
     assert!((found - expected).abs() < 1e-6 * expected.abs(), "{found} instead of {expected}");
 }
 

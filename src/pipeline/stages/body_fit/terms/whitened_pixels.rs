@@ -4,6 +4,7 @@
 //! ([`NoiseProcess`](super::noise_process::NoiseProcess)), which depends on the landmark in up to three successive frames, on
 //! the camera, and on what shapes the body.
 
+mod innovation;
 mod leverage;
 mod likelihood;
 pub(crate) mod scores;
@@ -254,14 +255,12 @@ impl WhitenedPixels {
         blocks: &mut LandmarkBlocks,
     ) {
         let n_cameras = blocks.cameras.len();
-        for seen in &channel.seen {
-            let Some(e) = seen.parts.combined(|i| linear[i].map(|l| l.residual)) else { continue };
-            let weight = channel.weight * geman_mcclure(e.norm_squared(), self.robust_scale).weight;
-            let parts =
-                || seen.parts.iter().filter_map(|(i, factor)| Some((channel.seen[i].frame, linear[i]?, factor)));
+        for innovation in self.linear_innovations(channel, linear) {
+            let (e, weight) = (innovation.e, innovation.weight);
+            let parts = || innovation.parts().map(|(i, l, factor)| (channel.seen[i].frame, l, factor));
             let mut by_camera = ByCamera::zeros();
             if n_cameras > 0 {
-                parts().for_each(|(_, l, factor)| unknowns.add(&l, factor, &mut by_camera));
+                by_camera = innovation.by_camera(unknowns);
                 let own = &mut blocks.cameras[channel.camera];
                 own.hessian += by_camera.tr_mul(&by_camera) * weight;
                 own.gradient += by_camera.tr_mul(&e) * weight;

@@ -1,10 +1,7 @@
-//! How much of the detector's errors a person's own unknowns absorb, as the session's unknowns see it.
+//! How much of the detector's errors the unknowns absorb, as the session's see it.
 
-use super::super::camera_unknowns::ByCamera;
 use super::scores::Movements;
 use super::{Channel, PosedCamera, Positions, WhitenedPixels};
-use crate::optim::robust::geman_mcclure;
-use nalgebra::{DMatrix, Matrix3xX};
 use rayon::prelude::*;
 
 /// Sums over channels.
@@ -17,25 +14,19 @@ struct Leverage {
 impl WhitenedPixels {
     /// Variance of the channels' scores from residuals over that from the errors, which are taken as independent innovations:
     ///
-    /// `1 - sum_c |A_c^T W J_c x|^2 / sum_c tr(A_c^T W A_c)`
+    /// `1 - sum_c |A_c^T W X_c|^2 / (S sum_c tr(A_c^T W A_c))`
     ///
-    /// with the derivatives `A_c = dr_c/d(movements) per_deviation` of a channel's innovations r and their weights W: a residual is
-    /// `e - J x` for what the errors e move the person by, whose covariance is that of the errors that remain, `H^-1`, and x is drawn
-    /// from it (the leverage of clusters; Bell and McCaffrey 2002, Survey Methodology 28:169; here one number for a person).
-    ///
-    /// `samples`: draws of `x`, as movements of the landmarks. `[frame][observed landmark]`, [3, samples]
+    /// with a channel's innovations and their weights W: `A_c` how they change by the `directions` in which scores count, `X_c` by what
+    /// the errors move all unknowns by, S draws of it. A residual is `e - x`, and the covariance of x is that of the errors that remain,
+    /// `H^-1` (the leverage of clusters; Bell and McCaffrey 2002, Survey Methodology 28:169; here one number for a person).
     pub(crate) fn unabsorbed(
         &self,
-        (cameras, positions): (&[PosedCamera], &Positions),
-        movements: &Movements,
-        per_deviation: &DMatrix<f64>,
-        samples: &[Vec<Matrix3xX<f64>>],
+        at: (&[PosedCamera], &Positions),
+        directions: &Movements,
+        draws: &Movements,
     ) -> f64 {
         let of_landmark = |landmark: usize| {
-            let of_channel = |channel: &Channel| {
-                let axes = self.linear_innovations(channel, landmark, (cameras, positions), movements, samples);
-                axes.map(|axis| axis.leverage(per_deviation)).into_iter().fold(Leverage::default(), Leverage::and)
-            };
+            let of_channel = |channel: &Channel| self.leverage(channel, landmark, at, directions, draws);
             self.channels[landmark].iter().map(of_channel).fold(Leverage::default(), Leverage::and)
         };
         let of_landmarks: Vec<Leverage> = (0..self.landmarks.len()).into_par_iter().map(of_landmark).collect();
@@ -43,64 +34,23 @@ impl WhitenedPixels {
         if errors > 0.0 { 1.0 - absorbed / errors } else { 1.0 }
     }
 
-    /// A channel's innovations by axis of the image.
-    fn linear_innovations(
+    fn leverage(
         &self,
         channel: &Channel,
         landmark: usize,
         (cameras, positions): (&[PosedCamera], &Positions),
-        movements: &Movements,
-        samples: &[Vec<Matrix3xX<f64>>],
-    ) -> [LinearInnovations; 2] {
+        directions: &Movements,
+        draws: &Movements,
+    ) -> Leverage {
         let linear = channel.linearised(landmark, cameras, positions);
-        let n = movements.of_camera.len();
-        let n_samples = channel.seen.first().map_or(0, |seen| samples[seen.frame][landmark].ncols());
-        let none = LinearInnovations::zeros(movements.cameras.ncols(), n_samples, channel.seen.len());
-        let mut axes = [none.clone(), none];
-        for (k, seen) in channel.seen.iter().enumerate() {
-            let Some(e) = seen.parts.combined(|i| linear[i].map(|l| l.residual)) else { continue };
-            let root = (channel.weight * geman_mcclure(e.norm_squared(), self.robust_scale).weight).sqrt();
-            for (i, factor) in seen.parts.iter() {
-                let Some(l) = linear[i] else { continue };
-                let mut by_camera = ByCamera::zeros();
-                movements.of_camera.add(&l, root * factor, &mut by_camera);
-                let (frame, by_point) = (channel.seen[i].frame, l.by_point * (root * factor));
-                let by_unknowns = by_point * &movements.landmarks[frame][landmark]
-                    + by_camera.columns(0, n) * movements.cameras.rows(n * channel.camera, n);
-                let sampled = by_point * &samples[frame][landmark];
-                for (axis, innovations) in axes.iter_mut().enumerate() {
-                    let mut column = innovations.by_unknowns.column_mut(k);
-                    column += by_unknowns.row(axis).transpose();
-                    let mut column = innovations.sampled.column_mut(k);
-                    column += sampled.row(axis).transpose();
-                }
-            }
-        }
-        axes
-    }
-}
-
-/// Innovations of one channel along one axis, times the square roots of their weights: one per column.
-#[derive(Clone)]
-struct LinearInnovations {
-    /// Derivatives. [unknowns, innovations]
-    by_unknowns: DMatrix<f64>,
-    /// By how much they change in each sample. [samples, innovations]
-    sampled: DMatrix<f64>,
-}
-
-impl LinearInnovations {
-    fn zeros(n_unknowns: usize, n_samples: usize, n: usize) -> Self {
-        Self { by_unknowns: DMatrix::zeros(n_unknowns, n), sampled: DMatrix::zeros(n_samples, n) }
-    }
-
-    fn leverage(&self, per_deviation: &DMatrix<f64>) -> Leverage {
-        let by_deviations = per_deviation.tr_mul(&self.by_unknowns);
-        let absorbed = &by_deviations * self.sampled.transpose();
-        Leverage {
-            errors: by_deviations.norm_squared(),
-            absorbed: absorbed.norm_squared() / absorbed.ncols().max(1) as f64,
-        }
+        let moved = |movements: &Movements| self.moved_innovations(channel, (landmark, &linear), movements);
+        let (by_directions, by_draws) = (moved(directions), moved(draws));
+        let n_draws = draws.cameras.ncols().max(1) as f64;
+        let of_axes = by_directions.iter().zip(&by_draws).map(|(by_directions, by_draws)| Leverage {
+            errors: by_directions.norm_squared(),
+            absorbed: (by_directions * by_draws.transpose()).norm_squared() / n_draws,
+        });
+        of_axes.fold(Leverage::default(), Leverage::and)
     }
 }
 

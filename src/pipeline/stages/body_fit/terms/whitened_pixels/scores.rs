@@ -1,8 +1,8 @@
 //! What the errors of each channel ask of unknowns that landmarks and cameras follow.
 
-use super::super::camera_unknowns::{ByCamera, CameraUnknowns, MAX_UNKNOWNS};
+use super::super::camera_unknowns::{CameraUnknowns, MAX_UNKNOWNS};
 use super::{Channel, PosedCamera, Positions, WhitenedPixels};
-use crate::optim::robust::{Curvature, geman_mcclure};
+use crate::optim::robust::Curvature;
 use nalgebra::{DMatrix, DVector, Matrix3xX, SVector, Vector3};
 use rayon::prelude::*;
 
@@ -21,10 +21,8 @@ impl WhitenedPixels {
     pub(crate) fn curvature(&self, cameras: &[PosedCamera], positions: &Positions) -> Curvature {
         let of_channel = |landmark: usize, channel: &Channel| {
             let linear = channel.linearised(landmark, cameras, positions);
-            let innovations =
-                channel.seen.iter().filter_map(|seen| seen.parts.combined(|i| linear[i].map(|l| l.residual)));
-            let robust = innovations.map(|e| geman_mcclure(e.norm_squared(), self.robust_scale));
-            robust.fold(Curvature::default(), |sum, robust| sum.with(&robust, channel.weight))
+            let innovations = self.linear_innovations(channel, &linear);
+            innovations.fold(Curvature::default(), |sum, innovation| sum.with(&innovation.robust, channel.weight))
         };
         let of_landmark = |(landmark, channels): (usize, &Vec<Channel>)| {
             channels.iter().fold(Curvature::default(), |sum, channel| sum.and(of_channel(landmark, channel)))
@@ -60,16 +58,15 @@ impl WhitenedPixels {
         // of the work, and each is then read once.
         let mut of_positions = vec![[Vector3::zeros(); 2]; channel.seen.len()];
         let mut of_camera = [SVector::<f64, MAX_UNKNOWNS>::zeros(); 2];
-        for seen in &channel.seen {
-            let Some(e) = seen.parts.combined(|i| linear[i].map(|l| l.residual)) else { continue };
-            let asked = e * (channel.weight * geman_mcclure(e.norm_squared(), self.robust_scale).weight);
-            for (i, factor) in seen.parts.iter() {
-                let Some(l) = linear[i] else { continue };
-                let mut by_camera = ByCamera::zeros();
-                movements.of_camera.add(&l, factor, &mut by_camera);
+        for innovation in self.linear_innovations(channel, &linear) {
+            let asked = innovation.e * innovation.weight;
+            let by_camera = innovation.by_camera(movements.of_camera);
+            for axis in 0..2 {
+                of_camera[axis] += by_camera.row(axis).transpose() * asked[axis];
+            }
+            for (i, l, factor) in innovation.parts() {
                 for axis in 0..2 {
                     of_positions[i][axis] += l.by_point.row(axis).transpose() * (asked[axis] * factor);
-                    of_camera[axis] += by_camera.row(axis).transpose() * asked[axis];
                 }
             }
         }

@@ -3,7 +3,6 @@
 use super::super::camera_unknowns::{FOCAL, POSE};
 use super::scores::Movements;
 use super::{Channel, PosedCamera, Positions, WhitenedPixels};
-use crate::optim::robust::geman_mcclure;
 use crate::residuals::reprojection::Reprojection;
 use nalgebra::{DVector, Matrix2x3, Matrix3, Matrix3x2, SVector, Vector3};
 use rayon::prelude::*;
@@ -47,21 +46,17 @@ impl WhitenedPixels {
         let n = movements.of_camera.len();
         let mut of_positions = vec![Vector3::zeros(); channel.seen.len()];
         let mut of_camera = SVector::<f64, { POSE + 1 }>::zeros();
-        for seen in &channel.seen {
-            let Some(e) = seen.parts.combined(|i| linear[i].map(|l| l.residual)) else { continue };
-            let weight = channel.weight * geman_mcclure(e.norm_squared(), self.robust_scale).weight;
-            for (i, factor) in seen.parts.iter() {
-                let Some(own) = linear[i] else { continue };
+        for innovation in self.linear_innovations(channel, &linear) {
+            for (i, own, factor) in innovation.parts() {
                 // Covariance of the position with the innovation.
                 let mut with_innovation = Matrix3x2::zeros();
-                for (k, other) in seen.parts.iter() {
-                    let Some(l) = linear[k] else { continue };
+                for (k, l, other) in innovation.parts() {
                     let of_both = between(spreads, landmark, channel.seen[i].frame, channel.seen[k].frame);
                     with_innovation += of_both * l.by_point.transpose() * other;
                 }
-                let in_camera = rotation * with_innovation * (weight * factor);
+                let in_camera = rotation * with_innovation * (innovation.weight * factor);
                 let p = camera.camera_from_world.transform(&positions[channel.seen[i].frame][landmark]);
-                let by_camera = asked(&own, rotation, &p, &in_camera);
+                let by_camera = asked(own, rotation, &p, &in_camera);
                 of_positions[i] += rotation.tr_mul(&by_camera.fixed_rows::<3>(0));
                 of_camera += by_camera;
             }
