@@ -200,7 +200,7 @@ fn with_lenses(
     }
     let spread = last.spread_of_cameras(members, slow(&noise));
     if let Some((found, _)) = spread.as_ref().and_then(|spread| refined_focal(&last, members, spread)) {
-        focal = RefinedFocal { log_evidence: focal.log_evidence, ..found };
+        focal = RefinedFocal { factors: found.factors, ..focal };
     }
     Ok((spread.and_then(|spread| last.covariance(members, &spread)), Some(focal)))
 }
@@ -270,8 +270,9 @@ fn refined_focal(
         true => found.overcount(&inverse_hessian) / spread.curvature_per_weight,
         false => priors.overcount,
     };
+    let are_as_given = likeliest == FocalSpread::CALIBRATED;
     let focal = Some(FocalPrior { spread: likeliest, ..prior.clone() });
-    Some((RefinedFocal { factors, log_evidence }, CameraPriors { focal, overcount, ..priors.clone() }))
+    Some((RefinedFocal { factors, log_evidence, are_as_given }, CameraPriors { focal, overcount, ..priors.clone() }))
 }
 
 /// The first fit goes on from where the adjustment ended; frames between adjusted ones are carried along.

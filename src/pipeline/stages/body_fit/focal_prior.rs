@@ -49,4 +49,6 @@ pub struct RefinedFocal {
     pub factors: Vec<FocalFactor>,
     /// Logarithm of the session's likelihood with focal lengths that differ from the given ones, over that with those as given.
     pub log_evidence: f64,
+    /// Whether they were taken as given, since that is not enough for others.
+    pub are_as_given: bool,
 }

@@ -28,6 +28,8 @@ pub struct VerdictInput<'a> {
     pub rival_explained: f64,
     /// Probable mistakes in the files of the recording.
     pub suspicions: &'a [Suspicion],
+    /// Where focal lengths were refined and stay as given: logarithm of the recording's likelihood under others over that under these.
+    pub lens_evidence: Option<f64>,
     /// Whether the cameras were estimated without a start.
     pub estimated: bool,
 }
