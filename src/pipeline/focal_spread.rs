@@ -250,7 +250,7 @@ mod tests {
         assert_eq!(spread, FocalSpread::CALIBRATED);
     }
 
-    /// Lenses of real detections, shown to 0.8 %, moved by what errors of 3 % of one of them need no more, and cameras by 30 mm.
+    /// Right lenses of real detections moved, and cameras by 30 mm: 3 % of one lens needed less than errors of all lenses.
     #[test]
     fn a_small_error_of_one_lens_needs_as_much_as_those_of_all() {
         let information = DMatrix::identity(5, 5) / 0.0085f64.powi(2);

@@ -60,8 +60,6 @@ pub struct Solution {
     heldout_px: Option<f64>,
     suspicions: Vec<Suspicion>,
     up_axis: UpAxis,
-    /// See [`VerdictInput`].
-    lens_evidence: Option<f64>,
     /// From the calibration's world to that of the result.
     world_from_solution: Similarity,
 }
@@ -106,17 +104,7 @@ impl Solution {
             }
             None => Similarity::identity(),
         };
-        Self {
-            calibration,
-            trajectories,
-            metres_per_unit,
-            scale,
-            heldout_px,
-            suspicions,
-            up_axis,
-            lens_evidence: None,
-            world_from_solution,
-        }
+        Self { calibration, trajectories, metres_per_unit, scale, heldout_px, suspicions, up_axis, world_from_solution }
     }
 
     /// `camera_from_world` per view, world of the result.
@@ -184,7 +172,7 @@ impl Solution {
         }
         self.calibration.stages.push(report);
         self.calibration.stages.extend(hands.as_ref().map(|hands| hands.report.clone()));
-        self.lens_evidence = focal.as_ref().filter(|focal| focal.are_as_given).map(|focal| focal.log_evidence);
+        let lens_evidence = focal.as_ref().filter(|focal| focal.are_as_given).map(|focal| focal.log_evidence);
         let session = match focal {
             Some(focal) => Cow::Owned(focal_lengths.replace(self.placed_views().zip(focal.factors), observed)),
             None => Cow::Borrowed(observed),
@@ -208,7 +196,8 @@ impl Solution {
         }
         let shown = TrackedPeople { tracks: &kept, ..self.calibration.people(&session, &self.trajectories) };
         let statistics = FitStatistics::new(&shown, camera_covariance.as_ref());
-        let mut report = Report { detector, ..self.report(capture, &shown, &motions, &statistics, penetration) };
+        let mut report =
+            Report { detector, ..self.report(capture, &shown, &motions, &statistics, penetration, lens_evidence) };
         for (person, measures) in report.people.iter_mut().zip(measures) {
             person.body = Some(measures);
         }
@@ -320,6 +309,7 @@ impl Solution {
         motions: &[BodyMotion],
         statistics: &FitStatistics,
         penetration: PenetrationReport,
+        lens_evidence: Option<f64>,
     ) -> Report {
         let session = capture.session;
         let geometry = statistics.geometry_report(tracked.points);
@@ -347,7 +337,7 @@ impl Solution {
             sigma_angle_deg: sigmas.and_then(|s| s.reduce(f64::max)),
             rival_explained: self.calibration.rival_explained,
             suspicions: &self.suspicions,
-            lens_evidence: self.lens_evidence,
+            lens_evidence,
             estimated: capture.estimates_extrinsics(),
         };
         Report {

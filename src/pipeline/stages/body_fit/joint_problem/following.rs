@@ -3,11 +3,11 @@
 use super::super::pixel_residuals::DetectedPixels;
 use super::super::terms::landmark_jacobian::{LandmarkJacobian, LinearLandmarks};
 use super::super::terms::whitened_pixels::Positions;
+use super::reduced::draws;
 use super::{JointProblem, Member, Reduced, with_bones};
 use nalgebra::{DMatrix, Matrix3xX};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
 /// Draws of a person's errors: the gradient of a marginal step sums thousands of independent directions, and errs by some hundredths of a
@@ -109,8 +109,7 @@ impl Reduced {
     fn own_samples(&self, person: usize, rng: &mut ChaCha8Rng) -> Option<DMatrix<f64>> {
         let n_own = self.own_parts[person].0.nrows();
         let factor = self.people[person].corner.view((0, 0), (n_own, n_own)).into_owned().cholesky()?;
-        let white = DMatrix::from_fn(n_own, N_SAMPLES, |_, _| StandardNormal.sample(rng));
-        factor.l_dirty().tr_solve_lower_triangular(&white)
+        draws(&factor, N_SAMPLES, rng)
     }
 }
 

@@ -58,10 +58,9 @@ impl Reduced {
         Some(Self { people, own_parts, basis, hessian, factor, right })
     }
 
-    /// Draws of the session's errors by its free directions: `L^-T w` of the Hessian `L L^T`, w white. [free directions, n]
+    /// Draws of the session's errors by its free directions. [free directions, n]
     pub(super) fn session_draws(&self, n: usize, rng: &mut ChaCha8Rng) -> Option<DMatrix<f64>> {
-        let white = DMatrix::from_fn(self.hessian.nrows(), n, |_, _| StandardNormal.sample(rng));
-        self.factor.l_dirty().tr_solve_lower_triangular(&white)
+        draws(&self.factor, n, rng)
     }
 
     /// The persons' systems, for the next ones.
@@ -134,4 +133,10 @@ impl Reduced {
         let sigmas = (free.dot(downhill) / free.len().max(1) as f64).max(0.0).sqrt();
         (free, sigmas)
     }
+}
+
+/// Draws of errors whose covariance is the inverse of a Hessian `L L^T`: `L^-T w`, w white. [unknowns, n]
+pub(super) fn draws(factor: &Cholesky<f64, Dyn>, n: usize, rng: &mut ChaCha8Rng) -> Option<DMatrix<f64>> {
+    let white = DMatrix::from_fn(factor.l_dirty().nrows(), n, |_, _| StandardNormal.sample(rng));
+    factor.l_dirty().tr_solve_lower_triangular(&white)
 }
