@@ -18,7 +18,8 @@
 //!   the residuals.
 //!
 //! Given poses err as well, by their standard deviations: the gradient of their prior, precision P counted c times, has the variance
-//! `c^2 P`. Cameras of 10 captures (`extrinsics: refine`) are 1.19 and 1.10 times their stated deviations off.
+//! `c^2 P`. Cameras of 10 captures (`extrinsics: refine`) are 1.19 and 1.10 times their stated deviations off. So does the step to the
+//! cameras whatever the motions ([`marginal_step`](super::marginal_step)), along its own direction.
 
 use super::super::pixel_residuals::{DetectedPixels, shared_error_variance};
 use super::super::session_state::SessionState;
@@ -140,7 +141,9 @@ pub(in super::super) struct CameraSpread {
 }
 
 impl CameraSpread {
-    /// The same where the gradient is off by a multiple of `gradient` as well, by the free directions, whose standard deviation is 1.
+    /// The same where the gradient of the cost errs, besides, by `gradient` times a number of mean 0 and variance 1.
+    ///
+    /// `gradient`: by the free directions.
     pub(super) fn with_uncertain_gradient(mut self, gradient: &DVector<f64>) -> Self {
         self.scores.ger(1.0, gradient, gradient, 1.0);
         self
