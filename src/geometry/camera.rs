@@ -166,8 +166,8 @@ impl Intrinsics {
 
     /// Ideal (undistorted) normalised coordinates of a pixel.
     ///
-    /// Known limit: beyond the radius where the distortion folds over it has no inverse; the last iterate of Newton's
-    /// method is returned. The ray of a fisheye is kept below 89 degrees from the axis.
+    /// Beyond the radius where the distortion folds over it has no inverse: what lies there has the ray of the edge of what the lens shows. The
+    /// ray of a fisheye is kept below 89 degrees from the axis.
     pub fn normalized_from_pixel(&self, pixel: &Vector2<f64>) -> Vector2<f64> {
         let y = (pixel.y - self.cy) / self.fy;
         self.dist.undistort(&Vector2::new((pixel.x - self.cx - self.skew * y) / self.fx, y))

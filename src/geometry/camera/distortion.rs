@@ -34,6 +34,9 @@ pub(super) struct Distorted {
 
 /// Rays farther than this (rad) from the axis are not undistorted: an image of a body has no such rays.
 const MAX_FISHEYE_ANGLE: f64 = 1.55;
+/// Steps of the radius at which the edge of what a lens shows is sought, and their number: up to 84 degrees from the axis.
+const RADIUS_STEP: f64 = 0.01;
+const N_RADIUS_STEPS: u32 = 1000;
 /// Below this squared radius the fisheye's quotients are replaced by their series: its next term is 1e-12 relative.
 const SMALL_SQUARED_RADIUS: f64 = 1e-6;
 
@@ -162,12 +165,52 @@ impl Distortion {
 
     /// Ideal normalised coordinates of distorted ones.
     ///
-    /// Known limit: beyond the radius where the polynomial folds over it has no inverse; the last iterate is returned.
+    /// Beyond the radius where the polynomial folds over, which shows nothing, the image has no inverse: those of a point there are of the
+    /// edge of what the lens shows, in its direction.
     pub(super) fn undistort(&self, distorted: &Vector2<f64>) -> Vector2<f64> {
         match self {
             Self::None => *distorted,
             Self::Fisheye4(k) => undistort_fisheye(distorted, k),
-            Self::OpenCv5(_) | Self::Rational8(_) => self.undistort_by_newton(distorted),
+            Self::OpenCv5(_) | Self::Rational8(_) => {
+                let found = self.undistort_by_newton(distorted);
+                if self.shows(&found, distorted) { found } else { self.nearest_shown(distorted) }
+            }
+        }
+    }
+
+    /// Whether the image of `n` is `distorted`, and the polynomial rises from the axis to there: beyond its fold, Newton's method finds points
+    /// on other branches, most of them on the opposite side.
+    fn shows(&self, n: &Vector2<f64>, distorted: &Vector2<f64>) -> bool {
+        let Distorted { point, jacobian: [a, b, c, e] } = self.distort_with_jacobian(n);
+        let rises_at = |k: u32| self.radial_slope(n.norm() * f64::from(k) / 8.0) > 0.0;
+        (point - distorted).norm_squared() < 1e-12 && a * e > b * c && a + e > 0.0 && (1..=8).all(rises_at)
+    }
+
+    /// Ideal coordinates in the direction of a point of the image, as far from the axis as the lens shows of it. Tangential terms are left
+    /// out.
+    fn nearest_shown(&self, distorted: &Vector2<f64>) -> Vector2<f64> {
+        let Some(direction) = distorted.try_normalize(f64::MIN_POSITIVE) else { return *distorted };
+        let is_short =
+            |radius: f64| self.distorted_radius(radius) < distorted.norm() && self.radial_slope(radius) > 0.0;
+        let n_steps = (1..N_RADIUS_STEPS).take_while(|&k| is_short(f64::from(k) * RADIUS_STEP)).count();
+        direction * (RADIUS_STEP * n_steps as f64)
+    }
+
+    /// Radius of the image of ideal radius `r`, without tangential terms.
+    fn distorted_radius(&self, r: f64) -> f64 {
+        self.without_tangential().distort_with_jacobian(&Vector2::new(r, 0.0)).point.x
+    }
+
+    /// Its derivative.
+    fn radial_slope(&self, r: f64) -> f64 {
+        self.without_tangential().distort_with_jacobian(&Vector2::new(r, 0.0)).jacobian[0]
+    }
+
+    fn without_tangential(&self) -> Self {
+        match *self {
+            Self::None | Self::Fisheye4(_) => *self,
+            Self::OpenCv5([k1, k2, _, _, k3]) => Self::OpenCv5([k1, k2, 0.0, 0.0, k3]),
+            Self::Rational8([k1, k2, _, _, k3, k4, k5, k6]) => Self::Rational8([k1, k2, 0.0, 0.0, k3, k4, k5, k6]),
         }
     }
 

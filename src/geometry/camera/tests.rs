@@ -126,6 +126,23 @@ fn undistortion_comes_back_to_every_pixel_of_the_image() {
     }
 }
 
+/// Joints that a detector places outside the image became rays to the opposite side: beyond its fold a polynomial has other branches.
+#[test]
+fn keypoints_beyond_the_fold_of_a_lens_keep_their_direction() {
+    // The first folds at a radius of (0.9)^-1/2; the second at 1, to rise again from the root of 2 on.
+    for (k, edge) in [([-0.3, 0.0, 0.0, 0.0, 0.0], 1.054), ([-0.5, 0.1, 0.0, 0.0, 0.0], 1.0)] {
+        let lens = Distortion::from(k);
+        let direction = Vector2::new(0.8, -0.6);
+        for (radius, inside) in [(0.3, true), (0.59, true), (0.72, false), (0.8, false), (1.0, false), (3.0, false)] {
+            let found = lens.undistort(&(direction * radius));
+            assert!((found.normalize() - direction).norm() < 1e-9, "{k:?} {radius}: {found}");
+            assert!(found.norm() < edge && (inside || found.norm() > edge - 0.011), "{k:?} {radius}: {found}");
+            let again = (lens.distorted(&found) - direction * radius).norm();
+            assert_eq!(again < 1e-9, inside, "{k:?} {radius}: {again}");
+        }
+    }
+}
+
 #[test]
 fn a_turned_camera_sees_the_turned_image() {
     for dist in LENSES {
