@@ -18,7 +18,7 @@ pub struct AssociatedHands {
     pub session: Session,
     /// From where every hand was taken.
     pub sources: HandSources,
-    /// Numbers of hands, and of those that were moved.
+    /// Numbers of hands whose arms are known, and of those that were moved.
     pub report: StageReport,
 }
 
@@ -40,21 +40,19 @@ pub fn associated_hands(people: &TrackedPeople) -> Option<AssociatedHands> {
         for (frame, sources) in sources[view].iter_mut().enumerate() {
             let places = places(people, view, frame);
             let detections = &people.session.views[view].frames[frame];
-            let hand = |place: &HandPlace| SeenHand::of(&detections[place.0].keypoints, convention, place.1);
-            let mut hands: Vec<HandPlace> = places.iter().map(|(place, _)| *place).collect();
-            let misfit = |arm: &Option<Arm>, from: &HandPlace| match (arm, hand(from)) {
-                (Some(arm), Some(seen)) => arm.misfit(&seen, camera, &intrinsics),
-                _ => 0.0,
+            let hand =
+                |(place, _): &(HandPlace, Arm)| SeenHand::of(&detections[place.0].keypoints, convention, place.1);
+            let hands: Vec<Option<SeenHand>> = places.iter().map(hand).collect();
+            let misfit = |arm: &Arm, seen: &Option<SeenHand>| {
+                seen.as_ref().map_or(0.0, |seen| arm.misfit(seen, camera, &intrinsics))
             };
             let misfits: Vec<Vec<f64>> =
-                places.iter().map(|(_, arm)| hands.iter().map(|from| misfit(arm, from)).collect()).collect();
-            let order = exchanged(&misfits);
-            n_hands += hands.iter().filter(|place| hand(place).is_some()).count();
-            n_moved +=
-                order.iter().enumerate().filter(|&(to, &from)| to != from && hand(&hands[from]).is_some()).count();
-            hands = order.iter().map(|&from| hands[from]).collect();
-            for (((detection, side), _), from) in places.iter().zip(&hands) {
-                sources[*detection][*side as usize] = *from;
+                places.iter().map(|(_, arm)| hands.iter().map(|seen| misfit(arm, seen)).collect()).collect();
+            n_hands += hands.iter().flatten().count();
+            for (to, from) in exchanged(&misfits).into_iter().enumerate() {
+                n_moved += usize::from(to != from && hands[from].is_some());
+                let (detection, side) = places[to].0;
+                sources[detection][side as usize] = places[from].0;
             }
             apply(sources, detections.iter().map(|d| d.keypoints.as_slice()).collect(), &mut session, [view, frame]);
         }
@@ -63,16 +61,17 @@ pub fn associated_hands(people: &TrackedPeople) -> Option<AssociatedHands> {
     Some(AssociatedHands { session, sources, report: StageReport::new("hand_association", 0, "done", metrics) })
 }
 
-/// The places of all persons' detections of a view and frame, with the arm that each continues; `None` where it is not known.
-fn places(people: &TrackedPeople, view: usize, frame: usize) -> Vec<(HandPlace, Option<Arm>)> {
+/// The places of all persons' detections of a view and frame whose arm is known, with the arm that each continues. Any hand would fit
+/// another place as well as the next.
+fn places(people: &TrackedPeople, view: usize, frame: usize) -> Vec<(HandPlace, Arm)> {
     let mut places = Vec::new();
     for (track, points) in people.tracks.iter().zip(people.points) {
         let of_frame = |first: usize| frame.checked_sub(first);
         let detection = of_frame(track.first.0).and_then(|t| *track.detections.get(t)?.get(view)?);
         let Some(detection) = detection else { continue };
         let row = of_frame(points.first.0).and_then(|t| points.points.get(t));
-        let arm = |side: Side| Arm::of(row?, people.session.convention, side);
-        places.extend(Side::BOTH.map(|side| ((detection, side), arm(side))));
+        let place = |side: Side| Some(((detection, side), Arm::of(row?, people.session.convention, side)?));
+        places.extend(Side::BOTH.into_iter().filter_map(place));
     }
     places
 }

@@ -18,6 +18,7 @@ use crate::session::BodyMotion;
 use crate::session::people::{BodyPose, HandMotion, HandPose};
 use crate::session::reconstruction::HandReport;
 use nalgebra::Matrix3;
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Standard deviations of the passes before the errors are measured, of the hand's image: fingers at rest may lie a hand's length
@@ -62,18 +63,19 @@ pub(super) fn with_fingers(
     let seen_in = |window: &Range<usize>| window.clone().map(|t| n_seen(&t)).sum::<usize>();
     let best = (0..windows.len()).max_by_key(|&w| (seen_in(&windows[w]), std::cmp::Reverse(w))).unwrap_or(0);
     let first = fit.window(&windows[best], size.max(0.5).ln(), true)?;
+    let fitted = |(w, window): (usize, &Range<usize>)| {
+        if w == best { Ok(first.clone()) } else { fit.window(window, first.state.log_size, false) }
+    };
+    let fitted = windows.par_iter().enumerate().map(fitted).collect::<Result<Vec<FittedWindow>, Canceled>>()?;
     let mut frames: [Vec<Unknowns>; 2] = [Vec::new(), Vec::new()];
-    let mut share = first.share;
-    for (w, window) in windows.iter().enumerate() {
-        let fitted = if w == best { first.clone() } else { fit.window(window, first.state.log_size, false)? };
-        share = if w == best { fitted.share } else { share };
+    for (window, fitted) in windows.iter().zip(fitted) {
         let skipped = window.start - fitted.frames.start;
         for (all, own) in frames.iter_mut().zip(&fitted.state.frames) {
             all.extend_from_slice(&own[skipped..skipped + window.len()]);
         }
     }
     let size = first.state.log_size.exp();
-    let reports = Side::BOTH.map(|side| fit.report(side, &frames[side as usize], size, share));
+    let reports = Side::BOTH.map(|side| fit.report(side, &frames[side as usize], size, first.share));
     publish(model, motion, &frames, size, &pixels);
     Ok(reports.into())
 }
