@@ -27,6 +27,7 @@ use crate::optim::arrow::{self, Block};
 use crate::optim::robust::{Curvature, geman_mcclure};
 use crate::pipeline::calibration::{CameraUncertainty, FocalEstimate};
 use nalgebra::{DMatrix, DVector, Vector3};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Smallest number of blocks: fewer do not show their own spread.
@@ -109,15 +110,13 @@ fn border_covariance(problem: &Problem, state: &State, block_frames: usize) -> O
         let reduced = arrow::reduce(members.len(), problem.layout.n_border, 0.0, linearize);
         (basis.project(&reduced.hessian) * hessian_per_weight, basis.0.tr_mul(&reduced.gradient))
     };
+    let of_blocks: Vec<(DMatrix<f64>, DVector<f64>)> = blocks.par_iter().map(of_block).collect();
     let mut whole = basis.project(&problem.prior_information());
-    for members in &blocks {
-        whole += of_block(members).0;
-    }
+    of_blocks.iter().for_each(|(hessian, _)| whole += hessian);
     hold_idle(&mut whole);
     let inverse = whole.clone().cholesky()?.inverse();
     let mut jackknife = DMatrix::zeros(whole.nrows(), whole.ncols());
-    for members in &blocks {
-        let (hessian, gradient) = of_block(members);
+    for (hessian, gradient) in of_blocks {
         let shift = shift_without(&whole, hessian, gradient)?;
         jackknife.ger(1.0, &shift, &shift, 1.0);
     }
@@ -149,12 +148,24 @@ fn shift_without(whole: &DMatrix<f64>, block: DMatrix<f64>, mut gradient: DVecto
 
 /// Keyframes by person and block of consecutive frames; shorter blocks where there would be too few.
 fn person_time_blocks(problem: &Problem, block_frames: usize) -> Vec<Vec<usize>> {
-    let frames = block_frames.min(problem.variables.len() / MIN_BLOCKS).max(1);
-    let mut blocks: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
-    for (i, variables) in problem.variables.iter().enumerate() {
-        blocks.entry((variables.person, variables.frame / frames)).or_default().push(i);
+    let keyframes: Vec<(usize, usize)> = problem.variables.iter().map(|own| (own.person, own.frame)).collect();
+    blocks_of(&keyframes, block_frames)
+}
+
+/// Indices of keyframes of a person and frame each, by blocks of half, a quarter, ... of `block_frames` where there would be less than
+/// [`MIN_BLOCKS`].
+fn blocks_of(keyframes: &[(usize, usize)], block_frames: usize) -> Vec<Vec<usize>> {
+    let mut frames = block_frames.max(1);
+    loop {
+        let mut blocks: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
+        for (i, (person, frame)) in keyframes.iter().enumerate() {
+            blocks.entry((*person, frame / frames)).or_default().push(i);
+        }
+        if blocks.len() >= MIN_BLOCKS.min(keyframes.len()) || frames == 1 {
+            return blocks.into_values().collect();
+        }
+        frames = frames.div_ceil(2);
     }
-    blocks.into_values().collect()
 }
 
 /// Mean curvature of the reprojection cost over its mean weight.
@@ -162,4 +173,21 @@ fn curvature_per_weight(problem: &Problem, state: &State) -> f64 {
     let misfits = problem.misfits(state).filter(|m| m.sigmas.is_finite());
     let robust = misfits.map(|m| geman_mcclure(m.sigmas * m.sigmas, problem.robust_scale));
     robust.fold(Curvature::default(), |sum, robust| sum.with(&robust, 1.0)).per_weight()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Blocks were as long as an eighth of the keyframes, which lie far apart: errors of 2 s were counted as if they lasted a second.
+    #[test]
+    fn blocks_are_as_long_as_asked_whatever_lies_between_keyframes() {
+        let sparse: Vec<(usize, usize)> = (0..250).map(|k| (k % 2, 24 * (k / 2))).collect();
+        let blocks = blocks_of(&sparse, 60);
+        assert_eq!(blocks.len(), 2 * (24 * 124 / 60 + 1));
+        assert!(blocks.iter().flatten().all(|&k| k < 250) && blocks.iter().map(Vec::len).sum::<usize>() == 250);
+        let short: Vec<(usize, usize)> = (0..40).map(|t| (0, t)).collect();
+        assert_eq!(blocks_of(&short, 60).len(), 10, "blocks of 4 frames");
+        assert_eq!(blocks_of(&short[..3], 60).len(), 3);
+    }
 }

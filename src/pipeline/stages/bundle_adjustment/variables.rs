@@ -94,8 +94,7 @@ pub(super) struct Layout {
 pub(super) struct CameraState {
     pub(super) intrinsics: Intrinsics,
     pub(super) log_focal: f64,
-    /// Frames.
-    /// In the middle of the take.
+    /// In the middle of the take, frames.
     pub(super) delay: f64,
     /// Change of the delay from the middle to the end of the take, frames.
     pub(super) drift: f64,
