@@ -235,10 +235,24 @@ fn hostile_files() -> Vec<(&'static str, Vec<u8>, &'static str)> {
         p.int(7_500_000);
         p.0.extend(b"\x86ub");
     };
+    // Choices of choices: each refers twice to the one before, so that the time doubled with every one.
+    let doubling = |p: &mut Pickler| {
+        p.floats(&[1], [0.0].into_iter());
+        for level in 1..60 {
+            p.0.extend([b'q', level - 1]);
+            p.0.extend(b"0cchumpy.reordering\nSelect\n)\x81}(");
+            for member in ["a", "idxs"] {
+                p.text(member);
+                p.0.extend([b'h', level - 1]);
+            }
+            p.0.extend(b"ub");
+        }
+    };
     type Write<'a> = &'a dyn Fn(&mut Pickler);
-    let pickles: [(&str, &str, Write, &str); 13] = [
+    let pickles: [(&str, &str, Write, &str); 14] = [
         ("a call", "f", &|p| p.0.extend(b"cos\nsystem\nX\x04\x00\x00\x00true\x85R"), "os.system"),
         ("recursive memo", "v_template", &own_x, "contain itself"),
+        ("doubling choices", "v_template", &doubling, "arrays is larger"),
         ("2 GB claimed", "v_template", &|p| p.array(&[90_000_000, 3], "f8", &[]), "larger"),
         ("overflowing claim", "v_template", &|p| p.array(&[i32::MAX, i32::MAX, i32::MAX], "f8", &[]), "larger"),
         ("a wide sparse matrix", "J_regressor", &wide_sparse, "larger"),

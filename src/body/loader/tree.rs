@@ -6,9 +6,17 @@ use super::larger_models::LargerModel;
 use super::pickle::{Global, Node, NodeId, Pickle, parse};
 use crate::formats::npy::{Array, Header, NumberType, n_elements};
 use std::borrow::Cow;
+use std::cell::Cell;
 
 /// Deepest nesting that is read: 6 in released models, unbounded in a pickle that contains itself.
 const MAX_DEPTH: usize = 64;
+
+/// Most arrays that are read of one file: ten fields of at most four. An array that others refer to is read again for each, so
+/// that without a limit a chain of 20 that each refer twice to the one before takes a million reads.
+const MAX_ARRAYS: usize = 256;
+
+/// Most dimensions of an array: numpy's own limit.
+const MAX_DIMENSIONS: usize = 64;
 
 /// Reads the fields of a body model from a pickle.
 pub(super) fn read_fields(bytes: &[u8]) -> Result<Fields, BodyFileError> {
@@ -44,9 +52,11 @@ fn dictionary_arrays(
         return Err(BodyFileError::Malformed { offset: bytes.len(), expected: "a dictionary of fields" });
     };
     let mut fields = Fields::new();
+    let n_arrays = Cell::new(0);
     for field in names {
         if let Some(value) = lookup(&pickle, entries, field) {
-            let (array, limit) = (Reader { pickle: &pickle, field }.array(value, 0)?, limit(field));
+            let reader = Reader { pickle: &pickle, field, n_arrays: &n_arrays };
+            let (array, limit) = (reader.array(value, 0)?, limit(field));
             if array.values.len() > limit {
                 return Err(BodyFileError::TooLarge { what: "an array", limit: limit as u64 });
             }
@@ -71,6 +81,8 @@ fn lookup(pickle: &Pickle, entries: &[(NodeId, NodeId)], key: &str) -> Option<No
 struct Reader<'p, 'b> {
     pickle: &'p Pickle<'b>,
     field: &'p str,
+    /// Arrays of the file that were read so far.
+    n_arrays: &'p Cell<usize>,
 }
 
 /// A Python object: its class, arguments and state.
@@ -85,7 +97,16 @@ impl<'p> Reader<'p, '_> {
         BodyFileError::NotAnArray { field: self.field.to_owned(), expected }
     }
 
+    /// Counts an array that is read.
+    fn count_array(&self) -> Result<(), BodyFileError> {
+        self.n_arrays.set(self.n_arrays.get() + 1);
+        let limit = MAX_ARRAYS as u64;
+        let is_within = self.n_arrays.get() <= MAX_ARRAYS;
+        is_within.then_some(()).ok_or(BodyFileError::TooLarge { what: "the number of the pickle's arrays", limit })
+    }
+
     fn array(&self, id: NodeId, depth: usize) -> Result<Array, BodyFileError> {
+        self.count_array()?;
         if depth > MAX_DEPTH {
             return Err(self.fault("a value that does not contain itself"));
         }
@@ -143,9 +164,11 @@ impl<'p> Reader<'p, '_> {
         let length =
             |id: &NodeId| usize::try_from(self.integer(*id)?).map_err(|_| self.fault("lengths of at least zero"));
         match &self.pickle.nodes[id] {
+            Node::Sequence(items) if items.len() > MAX_DIMENSIONS => Err(self.fault("at most 64 dimensions")),
             Node::Sequence(items) => items.iter().map(length).collect(),
-            // chumpy's preferred shape may be an array.
+            // chumpy's preferred shape may be an array. The count ends an array that is its own shape.
             Node::Object { .. } => {
+                self.count_array()?;
                 Ok(self.numpy_array(&self.object(id)?)?.values.iter().map(|v| *v as usize).collect())
             }
             _ => Ok(vec![length(&id)?]),
@@ -220,7 +243,9 @@ impl<'p> Reader<'p, '_> {
             return Err(faulty());
         };
         let n_lines = if compressed == Compressed::Columns { columns } else { rows };
-        if starts.values.len() != n_lines + 1 {
+        // Starts that fall would have the same entries read for many lines.
+        let is_within = |start: &f64| (0.0..=data.values.len() as f64).contains(start);
+        if starts.values.len() != n_lines + 1 || !starts.values.is_sorted() || !starts.values.iter().all(is_within) {
             return Err(faulty());
         }
         let mut values = vec![0.0; count];
@@ -264,4 +289,83 @@ impl<'p> Reader<'p, '_> {
 enum Compressed {
     Columns,
     Rows,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// `pickle.dumps(dict(x=value), protocol=2)`, written opcode by opcode; `value` writes the value's.
+    fn read(value: impl Fn(&mut Vec<u8>)) -> Result<Vec<f64>, BodyFileError> {
+        let mut bytes = b"\x80\x02}(X\x01\0\0\0x".to_vec();
+        value(&mut bytes);
+        bytes.extend(b"u.");
+        Ok(arrays_of_pickle(&bytes, &["x"])?.remove("x").unwrap().values)
+    }
+
+    /// A numpy array of float64, whose shape `shape` writes; memorised as number 0.
+    fn array_of_shape(bytes: &mut Vec<u8>, shape: &[u8], values: &[f64]) {
+        bytes.extend(b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\nK\x00\x85U\x01btRq\0(K\x01");
+        bytes.extend(shape);
+        bytes.extend(b"cnumpy\ndtype\n(U\x02f8K\x00K\x01tR\x89U");
+        bytes.push(8 * values.len() as u8);
+        values.iter().for_each(|value| bytes.extend(value.to_le_bytes()));
+        bytes.extend(b"tb");
+    }
+
+    fn array(bytes: &mut Vec<u8>, values: &[f64]) {
+        array_of_shape(bytes, &[b'(', b'K', values.len() as u8, b't'], values);
+    }
+
+    fn text(bytes: &mut Vec<u8>, text: &str) {
+        bytes.extend([b'U', text.len() as u8]);
+        bytes.extend(text.as_bytes());
+    }
+
+    /// Choices of choices, each of which refers twice to the one before.
+    fn chain(bytes: &mut Vec<u8>, length: u8) {
+        array(bytes, &[0.0]);
+        for level in 1..=length {
+            bytes.extend(b"0cchumpy.reordering\nSelect\n)\x81}(");
+            for member in ["a", "idxs"] {
+                text(bytes, member);
+                bytes.extend([b'h', level - 1]);
+            }
+            bytes.extend([b'u', b'b', b'q', level]);
+        }
+    }
+
+    /// The time doubled with every element: 4 s for 3 KB.
+    #[test]
+    fn arrays_that_refer_twice_to_one_took_exponential_time() {
+        assert_eq!(read(|bytes| chain(bytes, 6)).unwrap(), [0.0]);
+        let error = read(|bytes| chain(bytes, 60)).unwrap_err();
+        assert!(error.to_string().contains("the number of the pickle's arrays is larger than the 256"), "{error}");
+    }
+
+    #[test]
+    fn an_array_that_is_its_own_shape_overflowed_the_stack() {
+        let error = read(|bytes| array_of_shape(bytes, b"h\0", &[1.0])).unwrap_err();
+        assert!(matches!(error, BodyFileError::TooLarge { .. }), "{error}");
+    }
+
+    #[test]
+    fn starts_of_a_sparse_matrix_do_not_fall() {
+        let sparse = |starts: [f64; 4]| {
+            read(|bytes| {
+                bytes.extend(b"cscipy.sparse.csc\ncsc_matrix\n)\x81}(");
+                for (name, values) in [("data", &[2.0, 3.0][..]), ("indices", &[0.0, 0.0]), ("indptr", &starts)] {
+                    text(bytes, name);
+                    array(bytes, values);
+                }
+                text(bytes, "_shape");
+                bytes.extend(b"(K\x01K\x03tub");
+            })
+        };
+        assert_eq!(sparse([0.0, 1.0, 1.0, 2.0]).unwrap(), [2.0, 0.0, 3.0]);
+        for starts in [[0.0, 2.0, 0.0, 2.0], [0.0, 1.0, 2.0, 3.0], [-1.0, 0.0, 1.0, 2.0], [0.0, f64::NAN, 1.0, 2.0]] {
+            let error = sparse(starts).unwrap_err().to_string();
+            assert!(error.contains("a consistent sparse matrix"), "{starts:?}: {error}");
+        }
+    }
 }
