@@ -63,7 +63,8 @@ fn follow(
     frames: Range<usize>,
     progress: &Progress,
 ) -> Result<Vec<TrackedPerson>, Canceled> {
-    let max_gap = (config.max_gap * scene.fps) as usize;
+    // Below one frame each second people would be gone before the next frame.
+    let max_gap = ((config.max_gap * scene.fps) as usize).max(1);
     let (mut people, mut finished): (Vec<TrackedPerson>, Vec<TrackedPerson>) = Default::default();
     for frame in frames {
         if frame % 64 == 0 {

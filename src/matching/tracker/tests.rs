@@ -224,3 +224,13 @@ fn a_person_was_followed_out_of_the_scene_and_not_into_it() {
         assert!((nose.x - (0.01 * *frame as f64 - 0.9)).abs() < 0.05 && nose.z.abs() < 0.3, "{frame}: {nose}");
     }
 }
+
+/// A person who stands still is seen every other second: people are gone after a second out of sight, which was no frame at all.
+#[test]
+fn below_one_frame_a_second_everyone_had_left() {
+    let cameras = three_cameras();
+    let seen = |camera: &Option<Rigid>| vec![standing(camera.as_ref().unwrap(), Vector3::zeros())];
+    let views = cameras.map(|camera| NormalizedView { focal: 1000.0, frames: vec![seen(&camera); 6] });
+    let people = tracked_at(0.5, &views, &cameras);
+    assert_eq!(people.iter().map(|person| person.assignments.len()).collect::<Vec<_>>(), [6]);
+}
