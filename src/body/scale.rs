@@ -9,8 +9,9 @@
 use super::kinematics::{Pose, joints_by_betas, landmark_by_betas, landmark_position, posed};
 use super::model::{Betas, BodyModel};
 use super::segments::{MeasuredSegment, Segment};
+use crate::optim::determinant::half_log_det;
 use crate::optim::robust::INTERVAL_95;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 
 /// Plausible heights of people, m.
 pub const HEIGHT_RANGE: [f64; 2] = [0.5, 2.6];
@@ -61,12 +62,11 @@ pub struct FittedStature {
 /// their number, by the probability of each: of two people, one a third smaller than the other, the larger one is the adult.
 /// Known limit: children alone count as adults.
 pub fn scale_from_people(model: &BodyModel, people: &[Vec<MeasuredSegment>]) -> Option<ScaleEstimate> {
-    let rows = segment_rows(model, people);
-    let seen: Vec<usize> = (0..people.len()).filter(|&p| !people[p].is_empty()).collect();
-    let (mean, n_children) = mean_over_children(&rows, &seen, people.len())?;
+    let (mean, n_children) = mean_over_children(&segment_rows(model, people))?;
     let half = INTERVAL_95 * mean.variance.sqrt();
     let n_samples: usize = people.iter().flatten().map(|segment| segment.n_samples).sum();
-    let people_text = match (seen.len(), n_children) {
+    let n_seen = people.iter().filter(|segments| !segments.is_empty()).count();
+    let people_text = match (n_seen, n_children) {
         (1, _) => "1 person".to_owned(),
         (n, 0) => format!("{n} people"),
         (n, 1) => format!("{n} people, the smallest taken for a child,"),
@@ -83,23 +83,39 @@ pub fn scale_from_people(model: &BodyModel, people: &[Vec<MeasuredSegment>]) -> 
     })
 }
 
-/// The mean over the number of children, and the likeliest number. `seen`: people with rows.
-fn mean_over_children(rows: &[Row], seen: &[usize], n_people: usize) -> Option<(Mean, usize)> {
-    let all: Vec<&Row> = rows.iter().collect();
-    let mean_of = |&p: &usize| Some((p, own_mean(rows, p, &vec![Kin::ADULT; n_people])?.value));
-    let mut by_size: Vec<(usize, f64)> = seen.iter().filter_map(mean_of).collect();
+/// The mean over the number of children, and the likeliest number. `rows`: by person.
+fn mean_over_children(rows: &[Vec<Row>]) -> Option<(Mean, usize)> {
+    let of_all = |kin: Kin| rows.iter().map(|rows| Sums::of(rows, kin)).collect::<Option<Vec<Sums>>>();
+    let (as_adults, as_children) = (of_all(Kin::ADULT)?, of_all(Kin::CHILD)?);
+    let mean_of = |(p, sums): (usize, &Sums)| Some((p, sums.mean()?.value));
+    let mut by_size: Vec<(usize, f64)> = as_adults.iter().enumerate().filter_map(mean_of).collect();
     // Ratios to the reference: the smallest people first.
     by_size.sort_by(|a, b| b.1.total_cmp(&a.1));
     let largest = by_size.last()?.1;
     let n_smaller = by_size.iter().take_while(|(_, ratio)| ratio - largest > MIN_CHILD_DIFFERENCE).count();
-    let hypothesis = |n_children: usize| {
-        let mut kin = vec![Kin::ADULT; n_people];
+    let taken_for = |n_children: usize| {
+        let mut kin = vec![Kin::ADULT; rows.len()];
         by_size[..n_children].iter().for_each(|&(p, _)| kin[p] = Kin::CHILD);
-        let prior = n_children as f64 * (CHILD_SHARE / (1.0 - CHILD_SHARE)).ln();
-        let mean = solve_mean(&all, &kin)?;
-        Some((n_children, prior + mean.log_evidence, robust_mean(rows, kin, mean)?))
+        let sums = kin.iter().enumerate().map(|(p, kin)| if kin.is_child { &as_children[p] } else { &as_adults[p] });
+        let sums: Vec<&Sums> = sums.collect();
+        (kin, sums)
     };
-    let hypotheses: Vec<(usize, f64, Mean)> = (0..=n_smaller).filter_map(hypothesis).collect();
+    let posterior = |n_children: usize| {
+        let prior = n_children as f64 * (CHILD_SHARE / (1.0 - CHILD_SHARE)).ln();
+        Some((n_children, prior + mean_of_sums(taken_for(n_children).1)?.log_evidence))
+    };
+    let mut posteriors: Vec<(usize, f64)> = (0..=n_smaller).filter_map(posterior).collect();
+    let highest = posteriors.iter().map(|(_, log)| *log).max_by(f64::total_cmp)?;
+    posteriors.retain(|(_, log)| log - highest > -NEGLIGIBLE);
+    let robust = |(n_children, log): (usize, f64)| {
+        let (kin, sums) = taken_for(n_children);
+        Some((n_children, log, robust_mean(rows, kin, &sums)?))
+    };
+    mixed(&posteriors.into_iter().filter_map(robust).collect::<Vec<_>>())
+}
+
+/// The mean over hypotheses, and the likeliest of them. Of each: the number of children, its log probability, its mean.
+fn mixed(hypotheses: &[(usize, f64, Mean)]) -> Option<(Mean, usize)> {
     let likeliest = hypotheses.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
     let weights: Vec<f64> = hypotheses.iter().map(|(_, log, _)| (log - likeliest.1).exp()).collect();
     let total: f64 = weights.iter().sum();
@@ -110,25 +126,20 @@ fn mean_over_children(rows: &[Row], seen: &[usize], n_people: usize) -> Option<(
     Some((Mean { value, variance, log_evidence: likeliest.1 }, likeliest.0))
 }
 
-/// From the mean of all with Huber's weights of people who differ from the others.
-fn robust_mean(rows: &[Row], mut kin: Vec<Kin>, mut mean: Mean) -> Option<Mean> {
-    let all: Vec<&Row> = rows.iter().collect();
-    let own: Vec<Option<Mean>> = (0..kin.len()).map(|p| own_mean(rows, p, &kin)).collect();
+/// From the mean of all with Huber's weights of people who differ from the others. `own`: the sums of each person.
+fn robust_mean(rows: &[Vec<Row>], mut kin: Vec<Kin>, own: &[&Sums]) -> Option<Mean> {
+    let own_means: Vec<Option<Mean>> = own.iter().map(|sums| sums.mean()).collect();
+    let mut mean = mean_of_sums(own.iter().copied())?;
     for _ in 0..ROBUST_ROUNDS {
-        for (kin, own) in kin.iter_mut().zip(&own) {
+        for (kin, own) in kin.iter_mut().zip(&own_means) {
             let Some(own) = own else { continue };
             let distance = (own.value - mean.value).abs() / own.variance.sqrt();
             kin.looseness = (distance / 2.0).max(1.0);
         }
-        mean = solve_mean(&all, &kin)?;
+        let sums = rows.iter().zip(&kin).map(|(rows, kin)| Sums::of(rows, *kin)).collect::<Option<Vec<Sums>>>()?;
+        mean = mean_of_sums(&sums)?;
     }
     Some(mean)
-}
-
-/// By one person alone.
-fn own_mean(rows: &[Row], person: usize, kin: &[Kin]) -> Option<Mean> {
-    let own: Vec<&Row> = rows.iter().filter(|row| row.person == person).collect();
-    solve_mean(&own, kin)
 }
 
 /// The scale under the assumption that people are average adults, for a single view, in which a small near person looks
@@ -146,12 +157,14 @@ pub fn scale_of_average_adults(model: &BodyModel) -> ScaleEstimate {
     }
 }
 
+/// Nats below the likeliest number of children from which another one cannot change the mean.
+const NEGLIGIBLE: f64 = 30.0;
+
 /// Re-weightings of people; Huber's weights converge within a few.
 const ROBUST_ROUNDS: usize = 5;
 
 /// One measured segment as the log ratio of the average adult's length to this person's.
 struct Row {
-    person: usize,
     /// `y`.
     ratio: f64,
     /// The body part, which determines the detector's bias.
@@ -162,12 +175,12 @@ struct Row {
     sigma: f64,
 }
 
-fn segment_rows(model: &BodyModel, people: &[Vec<MeasuredSegment>]) -> Vec<Row> {
+/// The rows of every person.
+fn segment_rows(model: &BodyModel, people: &[Vec<MeasuredSegment>]) -> Vec<Vec<Row>> {
     let references = Segment::ALL.map(|segment| reference_segment(model, segment));
-    let row = |person: usize, measured: &MeasuredSegment| {
+    let row = |measured: &MeasuredSegment| {
         let reference = references[measured.segment as usize].as_ref()?;
         Some(Row {
-            person,
             ratio: (reference.length / measured.length).ln(),
             segment: measured.segment,
             log_per_beta: reference.log_per_beta,
@@ -175,7 +188,7 @@ fn segment_rows(model: &BodyModel, people: &[Vec<MeasuredSegment>]) -> Vec<Row> 
             sigma: measured.sigma_log.hypot(0.002),
         })
     };
-    people.iter().enumerate().flat_map(|(p, segments)| segments.iter().filter_map(move |s| row(p, s))).collect()
+    people.iter().map(|segments| segments.iter().filter_map(row).collect()).collect()
 }
 
 /// Change of the stature's logarithm per beta, from the difference between +1 and -1: the stature is linear except where
@@ -233,24 +246,6 @@ impl Kin {
     }
 }
 
-fn covariance(rows: &[&Row], kin: &[Kin]) -> DMatrix<f64> {
-    DMatrix::from_fn(rows.len(), rows.len(), |i, j| {
-        let (a, b) = (rows[i], rows[j]);
-        let mut value = COMMON_BIAS * COMMON_BIAS;
-        if a.segment == b.segment {
-            value += a.segment.detector_bias().powi(2);
-        }
-        if a.person == b.person {
-            let kin = kin[a.person];
-            value += a.log_per_beta.dot(&b.log_per_beta) * kin.looseness + kin.size()[1].powi(2);
-        }
-        if i == j {
-            value += a.sigma * a.sigma;
-        }
-        value
-    })
-}
-
 /// A mean and its variance.
 struct Mean {
     value: f64,
@@ -259,19 +254,80 @@ struct Mean {
     log_evidence: f64,
 }
 
-/// `s = 1^T C^-1 y / 1^T C^-1 1`, variance `1 / 1^T C^-1 1`; the evidence is
-/// `-(y - s 1)^T C^-1 (y - s 1) / 2 - log |C| / 2 - log (1^T C^-1 1) / 2`. Children's ratios are those of their size.
-fn solve_mean(rows: &[&Row], kin: &[Kin]) -> Option<Mean> {
-    let ones = DVector::repeat(rows.len(), 1.0);
-    let ratios = DVector::from_iterator(rows.len(), rows.iter().map(|row| row.ratio + kin[row.person].size()[0]));
-    let factor = covariance(rows, kin).cholesky()?;
-    let weights = factor.solve(&ones);
-    let total = weights.sum();
-    let value = weights.dot(&ratios) / total;
-    let errors = ratios.add_scalar(-value);
-    let log_determinant = 2.0 * factor.l_dirty().diagonal().iter().map(|pivot| pivot.ln()).sum::<f64>();
-    let log_evidence = -(errors.dot(&factor.solve(&errors)) + log_determinant + total.ln()) / 2.0;
-    (value.is_finite() && total > 0.0).then_some(Mean { value, variance: 1.0 / total, log_evidence })
+const N_SEGMENTS: usize = Segment::ALL.len();
+
+/// Sums over people, from which their common mean follows: people are independent but for the detector's bias of each of the few
+/// kinds of segments, so that the work grows with their number, not with its cube.
+///
+/// With the segments `G` of a person's rows (one column a kind) and the covariance `D` of the rows without that bias.
+#[derive(Default)]
+struct Sums {
+    /// `G^T D^-1 G`.
+    information: SMatrix<f64, N_SEGMENTS, N_SEGMENTS>,
+    /// `G^T D^-1 y`.
+    weighted: SVector<f64, N_SEGMENTS>,
+    /// `y^T D^-1 y`.
+    square: f64,
+    /// `log |D| / 2`.
+    half_log_det: f64,
+}
+
+impl Sums {
+    /// Of one person, whose ratios as a child are those of its size.
+    fn of(rows: &[Row], kin: Kin) -> Option<Self> {
+        let [size, size_sigma] = kin.size();
+        let covariance = DMatrix::from_fn(rows.len(), rows.len(), |i, j| {
+            let (a, b) = (&rows[i], &rows[j]);
+            let noise = if i == j { a.sigma * a.sigma } else { 0.0 };
+            a.log_per_beta.dot(&b.log_per_beta) * kin.looseness + size_sigma * size_sigma + noise
+        });
+        let factor = covariance.cholesky()?;
+        let segments =
+            DMatrix::from_fn(rows.len(), N_SEGMENTS, |i, k| f64::from(u8::from(rows[i].segment as usize == k)));
+        let ratios = DVector::from_iterator(rows.len(), rows.iter().map(|row| row.ratio + size));
+        let (of_segments, of_ratios) = (factor.solve(&segments), factor.solve(&ratios));
+        Some(Self {
+            information: SMatrix::from_fn(|i, j| segments.column(i).dot(&of_segments.column(j))),
+            weighted: SVector::from_fn(|k, _| segments.column(k).dot(&of_ratios)),
+            square: ratios.dot(&of_ratios),
+            half_log_det: half_log_det(&factor),
+        })
+    }
+
+    fn add(&mut self, other: &Self) {
+        self.information += other.information;
+        self.weighted += other.weighted;
+        self.square += other.square;
+        self.half_log_det += other.half_log_det;
+    }
+
+    /// The mean under the covariance `C = D + G B G^T` of all rows, with the variances `B` of the biases:
+    /// `s = 1^T C^-1 y / 1^T C^-1 1`, variance `1 / 1^T C^-1 1`; the evidence is
+    /// `-(y - s 1)^T C^-1 (y - s 1) / 2 - log |C| / 2 - log (1^T C^-1 1) / 2`. The bias that all segments share shifts the mean
+    /// itself: it adds to the variance and leaves value and evidence.
+    ///
+    /// `1^T C^-1 = (N^-1 B^-1 1)^T G^T D^-1` with `N = B^-1 + G^T D^-1 G`, and `log |C| = log |D| + log |B| + log |N|`.
+    fn mean(&self) -> Option<Mean> {
+        let inverse_biases = DVector::from_iterator(N_SEGMENTS, Segment::ALL.map(|s| s.detector_bias().powi(-2)));
+        let information = DMatrix::from_column_slice(N_SEGMENTS, N_SEGMENTS, self.information.as_slice());
+        let factor = (information + DMatrix::from_diagonal(&inverse_biases)).cholesky()?;
+        let shares = factor.solve(&inverse_biases);
+        let total = shares.dot(&self.information.column_sum());
+        let value = shares.dot(&self.weighted) / total;
+        let explained = self.weighted.dot(&factor.solve(&DVector::from_column_slice(self.weighted.as_slice())));
+        let errors = self.square - explained - value * value * total;
+        let half_log_det = self.half_log_det + half_log_det(&factor);
+        let log_evidence = -(errors + total.ln()) / 2.0 - half_log_det;
+        let variance = 1.0 / total + COMMON_BIAS * COMMON_BIAS;
+        (value.is_finite() && total > 0.0).then_some(Mean { value, variance, log_evidence })
+    }
+}
+
+/// The mean of some people, by the sums of each.
+fn mean_of_sums<'a>(people: impl IntoIterator<Item = &'a Sums>) -> Option<Mean> {
+    let mut sums = Sums::default();
+    people.into_iter().for_each(|person| sums.add(person));
+    sums.mean()
 }
 
 #[cfg(test)]
@@ -366,6 +422,56 @@ mod tests {
         let sigma = estimate.interval95[1].ln() / INTERVAL_95;
         assert!(estimate.scale == 1.0 && (0.045..0.07).contains(&sigma), "{sigma}");
         assert!((estimate.interval95[0] * estimate.interval95[1] - 1.0).abs() < 1e-12);
+    }
+
+    /// Value, variance and evidence of people's common mean, from the covariance of all rows at once.
+    fn dense_mean(people: &[(&[Row], Kin)]) -> [f64; 3] {
+        let rows: Vec<(usize, Kin, &Row)> =
+            people.iter().enumerate().flat_map(|(p, (rows, kin))| rows.iter().map(move |row| (p, *kin, row))).collect();
+        let covariance = DMatrix::from_fn(rows.len(), rows.len(), |i, j| {
+            let ((p, kin, a), (q, _, b)) = (rows[i], rows[j]);
+            let bias = if a.segment == b.segment { a.segment.detector_bias().powi(2) } else { 0.0 };
+            let person = a.log_per_beta.dot(&b.log_per_beta) * kin.looseness + kin.size()[1].powi(2);
+            let noise = if i == j { a.sigma.powi(2) } else { 0.0 };
+            COMMON_BIAS.powi(2) + bias + noise + if p == q { person } else { 0.0 }
+        });
+        let ratios = DVector::from_iterator(rows.len(), rows.iter().map(|(_, kin, row)| row.ratio + kin.size()[0]));
+        let factor = covariance.cholesky().unwrap();
+        let weights = factor.solve(&DVector::repeat(rows.len(), 1.0));
+        let value = weights.dot(&ratios) / weights.sum();
+        let errors = ratios.add_scalar(-value);
+        let evidence = -(errors.dot(&factor.solve(&errors)) + weights.sum().ln()) / 2.0 - half_log_det(&factor);
+        [value, 1.0 / weights.sum(), evidence]
+    }
+
+    #[test]
+    fn sums_over_people_give_the_mean_of_all_rows_at_once() {
+        let mut people = crowd(4, 40.0, 11);
+        people[1].truncate(2);
+        people[3].clear();
+        let rows = segment_rows(&default_body(), &people);
+        let means = [[1.0; 4], [1.0, 2.5, 1.0, 1.0]].map(|looseness: [f64; 4]| {
+            let kin = |p: usize| Kin { looseness: looseness[p], ..if p == 2 { Kin::CHILD } else { Kin::ADULT } };
+            let sums: Vec<Sums> = (0..4).map(|p| Sums::of(&rows[p], kin(p)).unwrap()).collect();
+            let dense = dense_mean(&(0..4).map(|p| (rows[p].as_slice(), kin(p))).collect::<Vec<_>>());
+            (mean_of_sums(&sums).unwrap(), dense)
+        });
+        for (mean, [value, variance, _]) in &means {
+            assert!((mean.value - value).abs() < 1e-11 && (mean.variance / variance - 1.0).abs() < 1e-10);
+        }
+        let [one, other] = means.map(|(mean, [_, _, evidence])| mean.log_evidence - evidence);
+        assert!((one - other).abs() < 1e-8, "the same constant: {one} and {other}");
+    }
+
+    /// Each of 60 numbers of children took six factorisations of a matrix of 1,200 rows: minutes.
+    #[test]
+    fn of_a_crowd_of_200_all_were_solved_at_once() {
+        let mut people = crowd(200, 2.5, 17);
+        people.iter_mut().take(60).for_each(|person| *person = resized(person, 0.72));
+        let estimate = scale_from_people(&default_body(), &people).unwrap();
+        let [low, high] = estimate.interval95;
+        assert!(low < 2.5 && 2.5 < high && high / low < 1.2, "{low} to {high}");
+        assert!(estimate.evidence.contains("smallest taken for children"), "{}", estimate.evidence);
     }
 
     #[test]
