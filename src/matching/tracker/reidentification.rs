@@ -9,6 +9,7 @@ use super::scene::TrackerScene;
 use super::skeleton::Skeleton;
 use crate::body::bones::LENGTH_SIGMA;
 use crate::body::human_speeds::WALK_M_S;
+use crate::optim::determinant::half_log_det;
 use crate::optim::robust::{NORMAL_SIGMA_OF_MAD, median_and_spread};
 use nalgebra::{DMatrix, DVector, Vector3};
 use std::collections::BTreeMap;
@@ -144,7 +145,7 @@ fn track_ids(scene: &TrackerScene, person: &TrackedPerson) -> Vec<BTreeMap<i64, 
 fn log_density(value: &DVector<f64>, covariance: DMatrix<f64>) -> f64 {
     let Some(factor) = covariance.cholesky() else { return 0.0 };
     let whitened = factor.l_dirty().solve_lower_triangular(value).map_or(f64::INFINITY, |w| w.norm_squared());
-    -factor.l_dirty().diagonal().iter().map(|d| d.ln()).sum::<f64>() - 0.5 * whitened
+    -half_log_det(&factor) - 0.5 * whitened
 }
 
 #[cfg(test)]
