@@ -23,6 +23,10 @@ use std::ops::Range;
 /// Number of portions of blocks: enough to keep every core busy, few enough to keep their sums small.
 const MAX_PORTIONS: usize = 64;
 
+/// Most numbers that the portions' sums over the border have together: 512 MB. A border of up to 1,024 unknowns has
+/// [`MAX_PORTIONS`].
+const MAX_SUMS: usize = 1 << 26;
+
 /// Size of the tiles in which eliminated unknowns are subtracted from the border: 8 registers of four numbers.
 const TILE_ROWS: usize = 4;
 const TILE_COLUMNS: usize = 8;
@@ -332,7 +336,7 @@ pub struct Reduced {
 pub fn reduce(n_blocks: usize, n_border: usize, damping: f64, linearize: impl Fn(usize, &mut Block) + Sync) -> Reduced {
     let zero =
         || Reduced { hessian: DMatrix::zeros(n_border, n_border), gradient: DVector::zeros(n_border), cost: 0.0 };
-    let partial_sums = by_portion(n_blocks, |blocks| {
+    let partial_sums = by_portion(n_blocks, n_portions(n_border), |blocks| {
         let (mut sum, mut block) = (zero(), Block::default());
         for i in blocks {
             linearize(i, &mut block);
@@ -361,7 +365,7 @@ pub fn back_substitute<T: Send>(
     linearize: impl Fn(usize, &mut Block) + Sync,
     apply: impl Fn(usize, f64, &[f64]) -> T + Sync,
 ) -> Vec<T> {
-    let portions = by_portion(n_blocks, |blocks| {
+    let portions = by_portion(n_blocks, MAX_PORTIONS, |blocks| {
         let mut block = Block::with_known_step(border_step);
         let mut results = Vec::with_capacity(blocks.len());
         for i in blocks {
@@ -398,9 +402,15 @@ pub fn elimination_order(n: usize, edges: impl IntoIterator<Item = (usize, usize
     order
 }
 
-/// Runs `work` on fixed portions of `0..n_blocks` in parallel; results in order.
-fn by_portion<T: Send>(n_blocks: usize, work: impl Fn(Range<usize>) -> T + Sync) -> Vec<T> {
-    let size = n_blocks.div_ceil(MAX_PORTIONS).max(1);
+/// Number of portions of which each has a sum over a border of `n_border` unknowns: by the problem's size alone, so that results
+/// do not depend on the number of threads.
+fn n_portions(n_border: usize) -> usize {
+    (MAX_SUMS / n_border.saturating_mul(n_border).max(1)).clamp(1, MAX_PORTIONS)
+}
+
+/// Runs `work` on at most `n_portions` fixed portions of `0..n_blocks` in parallel; results in order.
+fn by_portion<T: Send>(n_blocks: usize, n_portions: usize, work: impl Fn(Range<usize>) -> T + Sync) -> Vec<T> {
+    let size = n_blocks.div_ceil(n_portions).max(1);
     (0..n_blocks.div_ceil(size)).into_par_iter().map(|p| work(p * size..((p + 1) * size).min(n_blocks))).collect()
 }
 

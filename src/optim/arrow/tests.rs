@@ -73,6 +73,13 @@ fn one_and_two_threads_give_the_same_bits() {
     assert_eq!(run(1), run(2));
 }
 
+/// Eight unknowns of each of 300 people: 64 portions had 3 GB.
+#[test]
+fn sums_of_portions_grew_with_the_square_of_the_border() {
+    assert!([0, 1, 7, 300, 1024].iter().all(|&n| n_portions(n) == MAX_PORTIONS));
+    assert_eq!([2400, 8000, usize::MAX].map(n_portions), [11, 1, 1]);
+}
+
 #[test]
 fn an_unobserved_unknown_does_not_move() {
     let with_idle = |i: usize, block: &mut Block| {
