@@ -263,6 +263,6 @@ fn worst_view(
         let without = triangulated(scene, &rest);
         rest.iter().map(|(v, s)| residual(&without, *v, *s)).fold(0.0, f64::max)
     };
-    let wrong = (0..seen.len()).min_by(|a, b| residual_without(*a).total_cmp(&residual_without(*b)))?;
-    Some(seen[wrong].0)
+    let without = (0..seen.len()).map(|out| (residual_without(out), seen[out].0));
+    without.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, view)| view)
 }
