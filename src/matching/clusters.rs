@@ -5,6 +5,7 @@ use super::pair_score::agreement;
 use super::tracklets::{Tracklet, longest};
 use crate::geometry::Rigid;
 use crate::geometry::epipolar::essential_from_pose;
+use nalgebra::Matrix3;
 use rayon::prelude::*;
 
 /// Similarity at which two tracklets are as likely one person as two.
@@ -47,23 +48,25 @@ fn affinities(
     cameras: &[Option<Rigid>],
     nodes: &[(usize, usize)],
 ) -> Vec<Vec<f64>> {
+    let essential = |v: usize, w: usize| {
+        let (first, second) = (cameras[v].filter(|_| v != w)?, cameras[w]?);
+        Some(essential_from_pose(&(second * first.inverse())))
+    };
+    let essentials: Vec<Vec<Option<Matrix3<f64>>>> =
+        (0..cameras.len()).map(|v| (0..cameras.len()).map(|w| essential(v, w)).collect()).collect();
     let row = |i: usize| {
         let (v, a) = nodes[i];
         (0..i)
             .map(|j| {
                 let (w, b) = nodes[j];
-                let (Some(first), Some(second)) = (cameras[v], cameras[w]) else { return 0.0 };
-                if v == w {
-                    return 0.0;
-                }
-                let essential = essential_from_pose(&(second * first.inverse()));
+                let Some(essential) = &essentials[v][w] else { return 0.0 };
                 let (s, t) = (&tracklets[v][a], &tracklets[w][b]);
                 let shared = s.shared_with(t);
                 let n = shared.len().min(MAX_FRAMES);
                 let sum: f64 = (0..n)
                     .map(|k| {
                         let (f, p, q) = shared[k * shared.len() / n];
-                        agreement(&essential, &views[v].frames[f][p], &views[w].frames[f][q]) - NEUTRAL
+                        agreement(essential, &views[v].frames[f][p], &views[w].frames[f][q]) - NEUTRAL
                     })
                     .sum();
                 if n == 0 { 0.0 } else { sum * shared.len() as f64 / n as f64 }

@@ -38,6 +38,9 @@ impl Tracklet {
 
     /// Frames in which both tracklets have a detection, with the index of each.
     pub(super) fn shared_with(&self, other: &Self) -> Vec<(usize, usize, usize)> {
+        if self.last() < other.first() || other.last() < self.first() {
+            return Vec::new();
+        }
         self.detections.iter().filter_map(|&(f, p)| other.at(f).map(|q| (f, p, q))).collect()
     }
 }
