@@ -12,6 +12,12 @@ pub fn assign(
 ) -> Vec<Option<usize>> {
     let costs: Vec<Vec<f64>> =
         (0..n_rows).map(|row| (0..n_columns).map(|column| cost(row, column)).collect()).collect();
+    assign_by_table(&costs, forbidden)
+}
+
+/// [`assign`] by a table of all costs, `[row][column]`.
+pub fn assign_by_table(costs: &[Vec<f64>], forbidden: f64) -> Vec<Option<usize>> {
+    let (n_rows, n_columns) = (costs.len(), costs.first().map_or(0, Vec::len));
     let is_possible = |row: usize, column: usize| costs[row][column] < forbidden;
     // Most pairs show two people who are far from each other: rows and columns without a possible pair would only lengthen every path.
     let rows: Vec<usize> = (0..n_rows).filter(|&row| (0..n_columns).any(|column| is_possible(row, column))).collect();

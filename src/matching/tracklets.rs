@@ -1,6 +1,6 @@
 //! Tracklets: consecutive detections of one person within a view. In case of doubt tracklets are split rather than swapped.
 
-use super::assignment::{assign, lone_pairs, rival};
+use super::assignment::{assign_by_table, lone_pairs, rival};
 use super::normalized::{BODY_SPAN_M, NormalizedDetection, NormalizedView};
 use crate::body::detector_profile::DETECTOR;
 use crate::body::human_speeds::WALK_M_S;
@@ -124,8 +124,7 @@ fn gate_costs(
 
 /// Pairs of open tracklet and detection within the gates without a competing pair of similar cost.
 fn confident_matches(costs: &[Vec<f64>], config: &TrackletConfig) -> Vec<(usize, usize)> {
-    let n_people = costs.first().map_or(0, Vec::len);
-    let matches = assign(costs.len(), n_people, 1.0, |t, p| costs[t][p]);
+    let matches = assign_by_table(costs, 1.0);
     let pairs = matches.iter().enumerate().filter_map(|(t, p)| p.map(|p| (t, p)));
     pairs.filter(|&(t, p)| costs[t][p] < config.uniqueness * rival(costs, t, p)).collect()
 }

@@ -5,21 +5,32 @@ use super::person::TrackedPerson;
 use super::scene::TrackerScene;
 use super::skeleton::{SAME_PERSON_M, distance};
 use crate::optim::robust::median;
+use rayon::prelude::*;
 
 /// Merges fragments that are in one place at the same time and share no view, the nearest first.
 pub(super) fn merged(scene: &TrackerScene, mut fragments: Vec<TrackedPerson>) -> Vec<TrackedPerson> {
-    while let Some((_, i, j)) = nearest_duplicate(&fragments) {
+    let of_row = |j: usize| (0..j).map(|i| duplicate_distance(&fragments[i], &fragments[j])).collect();
+    let mut distances: Vec<Vec<Option<f64>>> = (0..fragments.len()).into_par_iter().map(of_row).collect();
+    while let Some((i, j)) = nearest_duplicates(&distances) {
         let other = fragments.swap_remove(j);
         fragments[i].merge(scene, other);
+        distances.pop();
+        // The last fragment has taken the place of the merged one.
+        for changed in [i, j].into_iter().filter(|changed| *changed < fragments.len()) {
+            for k in (0..fragments.len()).filter(|k| *k != changed) {
+                let (first, second) = (k.min(changed), k.max(changed));
+                distances[second][first] = duplicate_distance(&fragments[first], &fragments[second]);
+            }
+        }
     }
     fragments
 }
 
-/// Distance and indices of the nearest two fragments of one person.
-fn nearest_duplicate(fragments: &[TrackedPerson]) -> Option<(f64, usize, usize)> {
-    let pairs = (0..fragments.len()).flat_map(|j| (0..j).map(move |i| (i, j)));
-    let duplicates = pairs.filter_map(|(i, j)| Some((duplicate_distance(&fragments[i], &fragments[j])?, i, j)));
-    duplicates.min_by(|a, b| a.0.total_cmp(&b.0))
+/// The nearest two fragments of one person. `distances[j][i]`: for `i < j`, `None` of two persons.
+fn nearest_duplicates(distances: &[Vec<Option<f64>>]) -> Option<(usize, usize)> {
+    let pairs = distances.iter().enumerate().flat_map(|(j, row)| row.iter().enumerate().map(move |(i, d)| (i, j, *d)));
+    let duplicates = pairs.filter_map(|(i, j, distance)| Some((distance?, i, j)));
+    duplicates.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, i, j)| (i, j))
 }
 
 /// Median distance of two fragments over the frames that they share; `None` where they show two persons.

@@ -12,7 +12,7 @@ use crate::body::human_speeds::WALK_M_S;
 use crate::optim::determinant::half_log_det;
 use crate::optim::robust::{NORMAL_SIGMA_OF_MAD, median_and_spread};
 use nalgebra::{DMatrix, DVector, Vector3};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Standard deviation per axis of a prediction of the next frame, m: a turn of the body.
 const POSITION_SIGMA: f64 = 0.25;
@@ -73,20 +73,19 @@ impl Appearance {
 
     /// Evidence of the track numbers: how often they are equal, against how often two detections share one by chance.
     ///
-    /// `before`: counts of all numbers seen when `self` ended. A number not among them is new: no evidence.
-    pub(super) fn track_id_evidence(&self, later: &Self, before: &[BTreeMap<i64, usize>]) -> f64 {
-        let of_view = |((own, later), before): ((&BTreeMap<_, usize>, &BTreeMap<_, usize>), &BTreeMap<_, usize>)| {
-            let [n_own, n_later, n_before] = [own, later, before].map(|m| m.values().sum::<usize>() as f64);
+    /// `before`: of each view, the numbers seen when `self` ended. A number not among them is new: no evidence.
+    pub(super) fn track_id_evidence(&self, later: &Self, before: &[NumbersBefore]) -> f64 {
+        let of_view = |((own, later), before): ((&BTreeMap<_, usize>, &BTreeMap<_, usize>), &NumbersBefore)| {
+            let [n_own, n_later] = [own, later].map(|m| m.values().sum::<usize>() as f64);
             if n_own == 0.0 || n_later == 0.0 {
                 return 0.0;
             }
-            let chance: f64 = before.values().map(|n| (*n as f64 / n_before).powi(2)).sum();
-            let ratio = |number: &i64| match before.get(number) {
-                Some(_) => {
+            let ratio = |number: &i64| match before.numbers.contains(number) {
+                true => {
                     let share = own.get(number).map_or(0.0, |n| *n as f64 / n_own);
-                    1.0 - TRACK_ID_HOLDS + TRACK_ID_HOLDS * share / chance
+                    1.0 - TRACK_ID_HOLDS + TRACK_ID_HOLDS * share / before.chance
                 }
-                None => 1.0,
+                false => 1.0,
             };
             later.iter().map(|(number, n)| ratio(number) * *n as f64 / n_later).sum::<f64>().ln()
         };
@@ -101,14 +100,40 @@ impl Appearance {
     }
 }
 
+/// The track numbers of a view that were seen until some time.
+pub(super) struct NumbersBefore {
+    numbers: BTreeSet<i64>,
+    /// Probability that two of the detections share their number.
+    chance: f64,
+}
+
+impl NumbersBefore {
+    /// From how often each was seen.
+    pub(super) fn of(counts: BTreeMap<i64, usize>) -> Self {
+        let total = counts.values().sum::<usize>() as f64;
+        let chance = counts.values().map(|n| (*n as f64 / total).powi(2)).sum();
+        Self { numbers: counts.into_keys().collect(), chance }
+    }
+}
+
 /// Evidence of the position: `distance` m from the predicted one after `seconds` out of sight of a person who went at `speed`
 /// m/s. Who is fast may be slower or faster by half.
 ///
 /// Another person may be anywhere: the difference has standard deviation `sqrt(2) spread` per axis of the floor (m).
 pub(super) fn position_evidence(distance: f64, seconds: f64, speed: f64, spread: f64) -> f64 {
     let anywhere = 2.0 * spread * spread;
-    let near = (POSITION_SIGMA * POSITION_SIGMA + (WALK_M_S.max(speed / 2.0) * seconds).powi(2)).min(anywhere);
+    let near = near_variance(seconds, speed).min(anywhere);
     (anywhere / near).ln() - 0.5 * distance * distance * (1.0 / near - 1.0 / anywhere)
+}
+
+/// Whether a person out of sight for so long may be as far from the prediction as another one: [`position_evidence`] is 0.
+pub(super) fn may_be_anywhere(seconds: f64, speed: f64, spread: f64) -> bool {
+    near_variance(seconds, speed) >= 2.0 * spread * spread
+}
+
+/// Variance per axis of the place of a person from the predicted one, m^2.
+fn near_variance(seconds: f64, speed: f64) -> f64 {
+    POSITION_SIGMA * POSITION_SIGMA + (WALK_M_S.max(speed / 2.0) * seconds).powi(2)
 }
 
 /// Log ratio and variance of each kind of limb. Left and right limbs are one kind: bones of equal reference length.
@@ -164,6 +189,9 @@ mod tests {
         assert!(position_evidence(0.1, 0.2, 0.0, 2.0) > 3.0);
         assert!(position_evidence(3.0, 0.2, 0.0, 2.0) < -5.0);
         assert!(position_evidence(3.0, 60.0, 0.0, 2.0).abs() < 1e-12);
+        for seconds in (0..40).map(|tenth| 0.1 * f64::from(tenth)) {
+            assert_eq!(may_be_anywhere(seconds, 0.0, 2.0), position_evidence(3.0, seconds, 0.0, 2.0) == 0.0);
+        }
     }
 
     #[test]
@@ -183,6 +211,7 @@ mod tests {
         let mut before = vec![BTreeMap::new(); 2];
         own.count_track_ids(&mut before);
         other.count_track_ids(&mut before);
+        let before: Vec<NumbersBefore> = before.into_iter().map(NumbersBefore::of).collect();
         let evidence = |numbers: &[&[(i64, usize)]]| own.track_id_evidence(&appearance(&[], numbers), &before);
         assert!(evidence(&[&[(1, 20)], &[(7, 20)]]) > 1.0);
         assert!(evidence(&[&[(2, 20)], &[(8, 20)]]) < -1.5);

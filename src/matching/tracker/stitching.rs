@@ -2,10 +2,11 @@
 
 use super::duplicate_merging;
 use super::person::TrackedPerson;
-use super::reidentification::{Appearance, position_evidence, scene_spread};
+use super::reidentification::{Appearance, NumbersBefore, may_be_anywhere, position_evidence, scene_spread};
 use super::scene::TrackerScene;
 use super::skeleton::distance;
-use crate::matching::assignment::assign;
+use crate::matching::assignment::assign_by_table;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Out of sight for longer than this, s, a person is not followed: the next person nearby may be another one.
@@ -23,8 +24,7 @@ pub(super) fn max_gap(scene: &TrackerScene) -> usize {
 pub(super) fn stitch(scene: &TrackerScene, followed: Vec<TrackedPerson>) -> Vec<TrackedPerson> {
     let mut people = duplicate_merging::merged(scene, followed.into_iter().flat_map(|p| split(scene, p)).collect());
     people.sort_by_key(|p| (p.first(), p.last_seen()));
-    let costs = costs(scene, &people);
-    let next = assign(people.len(), people.len(), 0.0, |i, j| costs[i][j]);
+    let next = assign_by_table(&costs(scene, &people), 0.0);
     let starts: Vec<usize> = (0..people.len()).filter(|j| !next.contains(&Some(*j))).collect();
     let mut fragments: Vec<Option<TrackedPerson>> = people.into_iter().map(Some).collect();
     let chain = |start: usize| {
@@ -56,12 +56,13 @@ fn split(scene: &TrackerScene, followed: TrackedPerson) -> Vec<TrackedPerson> {
 
 /// Negative log evidence of each pair of end and start, nats; `f64::MAX` where the order in time forbids the pair.
 fn costs(scene: &TrackerScene, people: &[TrackedPerson]) -> Vec<Vec<f64>> {
-    let appearances: Vec<Appearance> = people.iter().map(|p| Appearance::of(scene, p)).collect();
+    let appearances: Vec<Appearance> = people.par_iter().map(|p| Appearance::of(scene, p)).collect();
     let spread = scene_spread(scene);
     let of_end = |i: usize| {
         let mut before = vec![BTreeMap::new(); scene.views.len()];
         let known = people.iter().zip(&appearances).filter(|(p, _)| p.first() <= people[i].last_seen());
         known.for_each(|(_, appearance)| appearance.count_track_ids(&mut before));
+        let before: Vec<NumbersBefore> = before.into_iter().map(NumbersBefore::of).collect();
         let of_start = |j: usize| {
             let Some(position) = position(scene, &people[i], &people[j], spread) else { return f64::MAX };
             let (one, other) = (&appearances[i], &appearances[j]);
@@ -69,7 +70,7 @@ fn costs(scene: &TrackerScene, people: &[TrackedPerson]) -> Vec<Vec<f64>> {
         };
         (0..people.len()).map(of_start).collect()
     };
-    (0..people.len()).map(of_end).collect()
+    (0..people.len()).into_par_iter().map(of_end).collect()
 }
 
 /// Evidence of positions that `later` continues `earlier`, nats; `None` where both are seen at one time.
@@ -78,6 +79,10 @@ fn position(scene: &TrackerScene, earlier: &TrackedPerson, later: &TrackedPerson
         return None;
     }
     let seconds = (later.first() - earlier.last_seen()) as f64 / scene.fps;
+    // Most pairs of a long take are so far apart in time that nothing needs to be predicted.
+    if may_be_anywhere(seconds, earlier.speed(), spread) {
+        return Some(0.0);
+    }
     let predicted = earlier.predict(later.first(), scene.fps);
     Some(
         distance(&predicted, &later.skeletons[0])
