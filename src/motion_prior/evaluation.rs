@@ -66,6 +66,11 @@ pub fn share_inside(ellipsoids: &[(Vector3<f64>, Matrix3<f64>)], factor: f64) ->
     ellipsoids.iter().filter(is_inside).count() as f64 / ellipsoids.len().max(1) as f64
 }
 
+/// Whether a take is long enough for the shortest gaps.
+pub(super) fn has_gaps(take: &Take) -> bool {
+    take.rotations.len() >= GAPS[0] + 2 * MARGIN
+}
+
 /// Errors for every kind of gap. `every`: gaps left out, 1 evaluates all of them.
 pub fn gap_errors(prior: &MotionPrior, takes: &[&Take], every: usize) -> Vec<GapErrors> {
     let kinds = HIDDEN.iter().flat_map(|hidden| GAPS.map(|n_frames| (*hidden, n_frames)));
