@@ -16,6 +16,15 @@ use std::collections::BTreeSet;
 /// Name of the landmark at SMPL's neck joint; `neck` is the detectors' point between the shoulders.
 pub const NECK_JOINT: &str = "neck_joint";
 
+/// The joints in the middle of which a keypoint lies, for those that lie between joints.
+pub(super) fn ends_of_midpoint(name: &str) -> Option<[&'static str; 2]> {
+    match name {
+        "neck" => Some(["left_shoulder", "right_shoulder"]),
+        "mid_hip" => Some(["left_hip", "right_hip"]),
+        _ => None,
+    }
+}
+
 /// A named point: a sum over bones that moves with them, `sum_i [ w_i p_i + G_i (a_i + A_i beta) ]`.
 ///
 /// `p_i`, `G_i`: posed joint and `world_from_joint` rotation. The weights sum to 1. This form is exact for a point under
@@ -52,13 +61,11 @@ pub(super) fn landmarks(
 ) -> Vec<Landmark> {
     let terms = |name: &str| -> Option<Vec<LandmarkTerm>> {
         let joint = |name: &str| JOINT_NAMES.iter().position(|n| *n == name);
-        match name {
-            "neck" => {
-                return Some(vec![joint_term(joint("left_shoulder")?, 0.5), joint_term(joint("right_shoulder")?, 0.5)]);
-            }
-            "mid_hip" => return Some(vec![joint_term(joint("left_hip")?, 0.5), joint_term(joint("right_hip")?, 0.5)]),
-            NECK_JOINT => return Some(vec![joint_term(joint("neck")?, 1.0)]),
-            _ => {}
+        if let Some([left, right]) = ends_of_midpoint(name) {
+            return Some(vec![joint_term(joint(left)?, 0.5), joint_term(joint(right)?, 0.5)]);
+        }
+        if name == NECK_JOINT {
+            return Some(vec![joint_term(joint("neck")?, 1.0)]);
         }
         match surface.points.iter().find(|point| point.name == name) {
             Some(point) => Some(skin_terms(surface, &point.vertices, rest_joints, shape_directions)),
