@@ -73,7 +73,8 @@ pub(super) struct SmallFactor<const W: usize> {
     inverse_diagonal: [f64; W],
 }
 
-/// Least pivot over the entry of the diagonal before its elimination; rounding alone leaves 1e-15 of a singular one.
+/// Least pivot over its entry of the diagonal in the few columns that are given; rounding alone leaves 1e-15 of a singular one.
+/// The columns before these are subtracted already: what was lost to them is not compared, only that the rest is positive.
 const MIN_PIVOT: f64 = 1e-12;
 
 impl<const W: usize> SmallFactor<W> {
