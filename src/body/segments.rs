@@ -4,6 +4,8 @@ use super::skeleton::KeypointConvention;
 use crate::optim::robust::{NORMAL_SIGMA_OF_MAD, median, quantile};
 use nalgebra::Vector3;
 
+const SIDES: [&str; 2] = ["left", "right"];
+
 /// A part of the body between two joints, or pairs of joints.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Segment {
@@ -54,11 +56,16 @@ impl Segment {
 
     /// The vectors along this segment, of both sides or of the midline; `point` returns the ends by name.
     pub fn along(self, point: impl Fn(&str) -> Option<Vector3<f64>>) -> Vec<Vector3<f64>> {
-        let side = |side: &str| {
+        let [left, right] = SIDES.map(|side| {
             let [a, b] = self.ends().map(|end| point(&format!("{side}_{end}")));
             Some(b? - a?)
-        };
-        match (self.bends(), side("left"), side("right")) {
+        });
+        self.of_sides(left, right)
+    }
+
+    /// The vectors along this segment from those of both sides.
+    fn of_sides(self, left: Option<Vector3<f64>>, right: Option<Vector3<f64>>) -> Vec<Vector3<f64>> {
+        match (self.bends(), left, right) {
             (true, Some(left), Some(right)) => vec![(left + right) / 2.0],
             (true, ..) => Vec::new(),
             (false, left, right) => left.into_iter().chain(right).collect(),
@@ -100,8 +107,13 @@ const NINTH_DECILE: f64 = 1.2816;
 /// Segments with fewer than five lengths are left out.
 pub fn measured_segments(points: &[Vec<Option<Vector3<f64>>>], convention: KeypointConvention) -> Vec<MeasuredSegment> {
     let measured = |segment: Segment| {
+        let keypoints = SIDES.map(|side| segment.ends().map(|end| convention.index_of(&format!("{side}_{end}"))));
         let length_in = |row: &Vec<Option<Vector3<f64>>>| {
-            segment.along(|name| row.get(convention.index_of(name)?).copied().flatten()).into_iter().map(|v| v.norm())
+            let [left, right] = keypoints.map(|ends| {
+                let [a, b] = ends.map(|keypoint| row.get(keypoint?).copied().flatten());
+                Some(b? - a?)
+            });
+            segment.of_sides(left, right).into_iter().map(|v| v.norm())
         };
         let mut lengths: Vec<f64> = points.iter().flat_map(length_in).filter(|l| l.is_finite() && *l > 0.0).collect();
         let n_samples = lengths.len();
