@@ -24,9 +24,6 @@ fn at_frames_of(rotations: &[LocalRotations], fps: f64, on_grid: &Completion) ->
             false => given[joint],
         }));
         found.precision.push(on_grid.precision[nearest]);
-        found.velocity.push(on_grid.velocity[nearest]);
-        found.velocity_sigma.push(on_grid.velocity_sigma[nearest]);
-        found.contact.push(on_grid.contact[nearest]);
     }
     found
 }

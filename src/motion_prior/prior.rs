@@ -36,12 +36,6 @@ pub struct Completion {
     pub rotations: Vec<LocalRotations>,
     /// Inverse covariance of each described joint's right increment about its mean, rad^-2.
     pub precision: Vec<[Matrix3<f64>; N_DESCRIBED]>,
-    /// Mean velocity of the pelvis in the world, m/s.
-    pub velocity: Vec<Vector3<f64>>,
-    /// Its standard deviations along the pelvis's axes, m/s.
-    pub velocity_sigma: Vec<Vector3<f64>>,
-    /// Probability that the left and the right foot stands.
-    pub contact: Vec<[f64; 2]>,
 }
 
 impl MotionPrior {
@@ -94,14 +88,8 @@ impl MotionPrior {
         let bridged = bridge(motion, &self.mean_pose(), DECAY_FRAMES);
         let of_joint = |unit: &f32| Matrix3::identity() / f64::from(unit * unit);
         let of_frame = |row: &[f32]| std::array::from_fn(|described| of_joint(&row[described]));
-        let n_frames = motion.n_frames();
-        Completion {
-            precision: expected_errors(motion, &bridged).chunks_exact(N_DESCRIBED).map(of_frame).collect(),
-            rotations: bridged.rotations,
-            velocity: vec![Vector3::zeros(); n_frames],
-            velocity_sigma: vec![Vector3::repeat(f64::INFINITY); n_frames],
-            contact: vec![[0.5; 2]; n_frames],
-        }
+        let precision = expected_errors(motion, &bridged).chunks_exact(N_DESCRIBED).map(of_frame).collect();
+        Completion { precision, rotations: bridged.rotations }
     }
 
     /// Completes and denoises a motion at 30 Hz of any length. A frame's result depends on the 36 frames around it, and on
@@ -124,9 +112,6 @@ impl MotionPrior {
         let rows = |tensor: &Tensor| tensor.contiguous()?.flatten_all()?.to_vec1::<f32>();
         let [correction, diagonal, below] = [&stated.correction, &stated.log_diagonal, &stated.below].map(rows);
         let (correction, diagonal, below) = (correction?, diagonal?, below?);
-        let [velocity, velocity_sigma, contact] =
-            [&stated.velocity, &stated.log_velocity_sigma, &stated.contact].map(rows);
-        let (velocity, velocity_sigma, contact) = (velocity?, velocity_sigma?, contact?);
 
         let mut rotations = input.bridged.rotations.clone();
         let mut precision = vec![[Matrix3::zeros(); N_DESCRIBED]; n_frames];
@@ -140,18 +125,7 @@ impl MotionPrior {
                 precision[t][described] = factor.tr_mul(&factor) / (unit * unit * self.provenance.temperature);
             }
         }
-        let world = |t: usize| {
-            let next = (t + 1).min(n_frames - 1);
-            let bridged = (input.bridged.pelvis[next] - input.bridged.pelvis[t]) * super::dataset::GRID_FPS;
-            bridged + input.bridged.rotations[t][0] * three(&velocity, t)
-        };
-        Ok(Completion {
-            rotations,
-            precision,
-            velocity: (0..n_frames).map(world).collect(),
-            velocity_sigma: (0..n_frames).map(|t| three(&velocity_sigma, t).map(f64::exp)).collect(),
-            contact: contact.chunks_exact(2).map(|odds| [odds[0], odds[1]].map(probability)).collect(),
-        })
+        Ok(Completion { rotations, precision })
     }
 }
 
@@ -164,8 +138,4 @@ fn three(values: &[f32], i: usize) -> Vector3<f64> {
 fn factor(log_diagonal: &Vector3<f64>, below: &Vector3<f64>) -> Matrix3<f64> {
     let unit = Matrix3::new(1.0, 0.0, 0.0, below.x, 1.0, 0.0, below.y, below.z, 1.0);
     Matrix3::from_diagonal(&log_diagonal.map(f64::exp)) * unit
-}
-
-fn probability(log_odds: f32) -> f64 {
-    1.0 / (1.0 + (-f64::from(log_odds)).exp())
 }
