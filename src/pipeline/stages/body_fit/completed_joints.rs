@@ -5,6 +5,7 @@ use crate::body::kinematics::Pose;
 use crate::body::skeleton::chain_to_root;
 use crate::motion_prior::observed::SPINE;
 use crate::residuals::rotation_likelihood::RotationGaussian;
+use std::ops::Range;
 
 /// What the motion prior states about the joints of a window that no camera shows, and those that one alone does.
 #[derive(Debug, Clone, PartialEq)]
@@ -16,6 +17,11 @@ pub(crate) struct GapCompletion {
 }
 
 impl GapCompletion {
+    /// Of some of the frames.
+    pub(super) fn of(&self, frames: Range<usize>) -> Self {
+        Self { hidden: self.hidden[frames.clone()].to_vec(), guided: self.guided[frames].to_vec() }
+    }
+
     /// The motion with the mean rotations of the completed and guided joints.
     pub(super) fn applied_to(&self, mut state: MotionState) -> MotionState {
         for (frame, pose) in state.poses.iter_mut().enumerate() {

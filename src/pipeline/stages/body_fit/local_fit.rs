@@ -3,11 +3,14 @@
 //! The two frames at either end of a run are held (an acceleration spans three), so that the motion continues without a
 //! seam.
 
+use super::completed_joints::GapCompletion;
 use super::context::FitContext;
+use super::gap_completion::{Purpose, completed_gaps};
 use super::minimisation::{Budget, DAMPING_FROM_FIT, minimised};
 use super::objective::Objective;
 use super::observations::Observations;
 use super::pixel_residuals::DetectedPixels;
+use super::single_camera::SingleCamera;
 use super::terms::collision::Collisions;
 use super::terms::unknowns::{MotionState, Shape};
 use crate::optim::block_banded::BlockBanded;
@@ -50,13 +53,18 @@ pub(super) fn refitted(
         let mut system = context.systems.take();
         let first = chain[0].start;
         let whole = first..chain[chain.len() - 1].end;
+        let unseen = Unseen::around(context, observations, &state, &whole);
         let mut refitted = Refitted { state: state.of(&whole), rejected: Vec::new() };
         for run in chain.iter() {
             let own = run.start - first..run.end - first;
-            let data = (&*observations.slice(run.clone()), collisions.slice(run.clone()));
+            let data = Run {
+                observations: &observations.slice(run.clone()),
+                collisions: collisions.slice(run.clone()),
+                unseen: unseen.of(run),
+                held: held_frames(run, state.poses.len()),
+            };
             let states = [before.of(run), refitted.state.of(&own)];
-            let held = held_frames(run, state.poses.len());
-            match fitted_run(context, data, &states, &held, steps, &mut system)? {
+            match fitted_run(context, &data, &states, steps, &mut system)? {
                 Some(moved) => refitted.state.poses[own].copy_from_slice(&moved.poses),
                 None => refitted.rejected.push(run.clone()),
             }
@@ -74,12 +82,47 @@ pub(super) fn refitted(
     Ok(Refitted { state, rejected })
 }
 
-/// A run fitted from `start`, in the memory of `system`; `None` where the observations rule it out. `held`: its frames that stay.
+/// What a run is fitted to.
+struct Run<'a> {
+    observations: &'a Observations,
+    collisions: Collisions<'a>,
+    unseen: Unseen,
+    /// Frames that stay.
+    held: Vec<usize>,
+}
+
+/// What less than two cameras show, as the last fit had it: near other people limbs are hidden by these.
+struct Unseen {
+    /// The frames of the track that it is about.
+    frames: Range<usize>,
+    completion: Option<GapCompletion>,
+    is_open: Vec<bool>,
+}
+
+impl Unseen {
+    /// In a run and its surroundings.
+    fn around(context: &FitContext, observations: &Observations, state: &MotionState, run: &Range<usize>) -> Self {
+        let frames = context.with_halo(run, state.poses.len());
+        let observations = observations.slice(frames.clone());
+        let alone = SingleCamera::new(context.model, &observations, context.frame_interval);
+        let completed = || completed_gaps(context, &observations, &alone, &state.of(&frames), Purpose::FromGood);
+        let completion = context.config.completes_gaps.then(completed).flatten();
+        Self { is_open: alone.open_frames(), completion, frames }
+    }
+
+    /// In some of the frames.
+    fn of(&self, run: &Range<usize>) -> Self {
+        let own = run.start - self.frames.start..run.end - self.frames.start;
+        let completion = self.completion.as_ref().map(|completion| completion.of(own.clone()));
+        Self { frames: run.clone(), completion, is_open: self.is_open[own].to_vec() }
+    }
+}
+
+/// A run fitted from `start`, in the memory of `system`; `None` where the observations rule it out.
 fn fitted_run(
     context: &FitContext,
-    (observations, collisions): (&Observations, Collisions),
+    Run { observations, collisions, unseen, held }: &Run,
     [before, start]: &[MotionState; 2],
-    held: &[usize],
     steps: usize,
     system: &mut BlockBanded,
 ) -> Result<Option<MotionState>, Canceled> {
@@ -87,11 +130,13 @@ fn fitted_run(
     let extra_joints: Vec<usize> = collisions.joints().into_iter().collect();
     let alone = Objective {
         speeds: Some(start),
+        completion: unseen.completion.as_ref(),
+        is_open: &unseen.is_open,
         extra_joints: &extra_joints,
         held,
         ..Objective::new(context, context.config, observations, pixels.source(), Shape::Held)
     };
-    let problem = Objective { collisions: Some(collisions), ..alone }.problem();
+    let problem = Objective { collisions: Some(*collisions), ..alone }.problem();
     let min_decrease = context.config.min_decrease;
     let budget = Budget { max_iterations: steps, min_decrease, damping: DAMPING_FROM_FIT };
     let moved = minimised(context, &problem, start.clone(), budget, system)?.state;
