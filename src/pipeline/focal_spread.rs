@@ -169,10 +169,11 @@ impl FoundFactors {
         Some(found.shifted(&DVector::from_iterator(n, estimate.views.iter().map(|&view| origin(view)))))
     }
 
-    /// How many times a problem counts what the session shows: the mean of its information over this.
-    pub fn overcount(&self, inverse_hessian: &DMatrix<f64>) -> f64 {
-        let n = self.linear.len() as f64;
-        (n / (inverse_hessian * &self.information).trace()).max(1.0)
+    /// How many times a problem with a prior of this `precision` counts what the session shows: the information that it has of it over
+    /// this, `tr(H^-1 A) / tr(H^-1 A S^-1 A)`, in the directions that the session shows rather than the prior.
+    pub fn overcount(&self, inverse_hessian: &DMatrix<f64>, precision: &DMatrix<f64>) -> f64 {
+        let n_shown = self.linear.len() as f64 - (inverse_hessian * precision).trace();
+        (n_shown / (inverse_hessian * &self.information).trace()).max(1.0)
     }
 
     /// Of `x + origin`, if these were of `x`.
@@ -228,9 +229,16 @@ mod tests {
     #[test]
     fn overcount_is_the_ratio_of_scatter_and_hessian() {
         let inverse_hessian = DMatrix::from_diagonal(&DVector::from_column_slice(&[1e-4, 4e-4]));
-        let none = DMatrix::zeros(2, 2);
-        let found = FoundFactors::new(&DVector::zeros(2), &inverse_hessian, &(&inverse_hessian * 7.0), &none).unwrap();
-        assert!((found.overcount(&inverse_hessian) - 7.0).abs() < 1e-9);
+        let shown = |prior: &DMatrix<f64>| {
+            let information = inverse_hessian.clone().cholesky().unwrap().inverse() - prior;
+            let covariance = &inverse_hessian * information * &inverse_hessian * 7.0;
+            let found = FoundFactors::new(&DVector::zeros(2), &inverse_hessian, &covariance, prior).unwrap();
+            found.overcount(&inverse_hessian, prior)
+        };
+        assert!((shown(&DMatrix::zeros(2, 2)) - 7.0).abs() < 1e-9);
+        // What a prior determines is not what the session shows.
+        let prior = DMatrix::from_diagonal(&DVector::from_column_slice(&[5e3, 500.0]));
+        assert!((shown(&prior) - 7.0).abs() < 1e-9);
     }
 
     /// Errors of the size of their standard deviations are no reason to move.

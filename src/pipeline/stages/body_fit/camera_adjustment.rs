@@ -15,12 +15,12 @@ use super::terms::border_priors::{BoneLengthPrior, KeypointBiasPrior};
 use super::terms::noise_process::PathNoise;
 use super::terms::unknowns::MotionState;
 use super::thinned_motion::{carry_along, rough_stride};
-use crate::body::detector_offsets::OffsetTable;
 use crate::geometry::Rigid;
 use crate::geometry::free_network::CameraCovariance;
 use crate::pipeline::focal_spread::{FocalSpread, FoundFactors};
 use crate::progress::Canceled;
 use crate::session::reconstruction::FocalFactor;
+use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 /// The detector's errors, and the cameras after the adjustment.
@@ -157,18 +157,17 @@ type Refined = (Option<CameraCovariance>, Option<RefinedFocal>);
 
 /// Adjusts cameras and motions of all members in rounds, each under the errors that the one before left.
 fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Refined, Canceled> {
-    let table = OffsetTable::empty(context.model);
     let known = &context.config.known_cameras;
     let (priors, held) = (CameraPriors::new(known), CameraPriors::of_poses(known));
     let mut noise = measured_noise(context, members);
     for _ in 1..context.config.camera_rounds {
-        problem(context, &table, &noise, Some(&held)).minimised(members, Vec::new(), &ROUND_STOPPING)?;
+        problem(context, &noise, Some(&held)).minimised(members, Vec::new(), &ROUND_STOPPING)?;
         noise = measured_noise(context, members);
     }
     if priors.focal.is_some() {
-        return with_lenses(context, members, (&table, noise), priors);
+        return with_lenses(context, members, noise, priors);
     }
-    let last = problem(context, &table, &noise, Some(&held));
+    let last = problem(context, &noise, Some(&held));
     Ok((last.minimised_and_marginalised(members, &STOPPING, slow(&noise))?, None))
 }
 
@@ -176,10 +175,10 @@ fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Refined, Cance
 fn with_lenses(
     context: &FitContext,
     members: &mut [Member],
-    (table, noise): (&OffsetTable, PathNoise),
+    noise: PathNoise,
     mut priors: CameraPriors,
 ) -> Result<Refined, Canceled> {
-    let round = problem(context, table, &noise, Some(&priors));
+    let round = problem(context, &noise, Some(&priors));
     round.minimised_over_motions(members, &ROUND_STOPPING)?;
     let spread = round.spread_of_cameras(members, slow(&noise));
     if let Some((_, likeliest)) = spread.and_then(|spread| refined_focal(&round, members, &spread)) {
@@ -188,13 +187,15 @@ fn with_lenses(
     // Whether lenses are as given is decided where they are free: held to the given lengths, the noise that is measured there
     // has absorbed their errors.
     let noise = measured_noise(context, members);
-    let free = problem(context, table, &noise, Some(&priors));
+    let free = problem(context, &noise, Some(&priors));
     free.minimised_over_motions(members, &STOPPING)?;
-    let Some(spread) = free.spread_of_cameras(members, slow(&noise)) else { return Ok((None, None)) };
-    let Some((mut focal, likeliest)) = refined_focal(&free, members, &spread) else {
-        return Ok((free.covariance(members, &spread), None));
+    let Some(spread) = free.spread_of_cameras(members, slow(&noise)) else {
+        return Ok((None, undetermined_focal(members, &priors)));
     };
-    let last = problem(context, table, &noise, Some(&likeliest));
+    let Some((mut focal, likeliest)) = refined_focal(&free, members, &spread) else {
+        return Ok((free.covariance(members, &spread), undetermined_focal(members, &priors)));
+    };
+    let last = problem(context, &noise, Some(&likeliest));
     if !priors.has_spread_of(&likeliest) {
         last.minimised_over_motions(members, &STOPPING)?;
     }
@@ -212,10 +213,9 @@ fn slow(noise: &PathNoise) -> f64 {
 
 /// One step of the motions alone.
 pub(super) fn settle(context: &FitContext, members: &mut [Member]) -> Result<(), Canceled> {
-    let table = OffsetTable::empty(context.model);
     let noise = measured_noise(context, members);
     let once = Stopping { max_iterations: 1, ..STOPPING };
-    let problem = problem(context, &table, &noise, None);
+    let problem = problem(context, &noise, None);
     // With the cameras held they have nothing in common, and need not be in memory at once.
     members.par_iter_mut().try_for_each(|member| {
         problem.minimised(std::slice::from_mut(member), Vec::new(), &once)?;
@@ -227,13 +227,12 @@ pub(super) fn settle(context: &FitContext, members: &mut [Member]) -> Result<(),
 /// change no camera by a tenth of its standard deviation.
 fn problem<'a>(
     context: &'a FitContext<'a>,
-    table: &'a OffsetTable,
     noise: &'a PathNoise,
     cameras: Option<&'a CameraPriors>,
 ) -> JointProblem<'a> {
     JointProblem {
         context,
-        table,
+        table: None,
         noise,
         bone_prior: BoneLengthPrior { sigma: BONE_SIGMA },
         bias_prior: KeypointBiasPrior { sigmas: Vec::new() },
@@ -254,25 +253,39 @@ fn refined_focal(
     let log_factors = prior.log_factors(cameras);
     let columns: Vec<usize> = priors.focal_columns(cameras.len()).collect();
     let (inverse_hessian, covariance) = (spread.inverse_hessian(&columns), spread.covariance(&columns));
-    let found =
-        FoundFactors::new(&log_factors, &inverse_hessian, &covariance, &(prior.precision() * priors.overcount))?;
+    let precision = prior.precision() * priors.overcount;
+    let found = FoundFactors::new(&log_factors, &inverse_hessian, &covariance, &precision)?;
     let (likeliest, log_evidence) = prior.likeliest(&found);
     tracing::debug!(?likeliest, log_evidence, "spread of focal lengths");
     tracing::trace!(?found, "focal lengths shown");
     let (_, posterior) = found.under(likeliest)?;
-    let factor = |k: usize| {
-        let value = log_factors[k].exp();
-        FocalFactor { value, sigma: value * posterior[(k, k)].max(0.0).sqrt() }
-    };
-    let factors = (0..log_factors.len()).map(factor).collect();
+    let factors = focal_factors(&log_factors, &posterior);
     let overcount = match [FocalSpread::WIDE, FocalSpread::UNKNOWN].contains(&prior.spread) {
         // Beside the weights of the normal equations. By the Hessian, a fifth less, cameras of realistic noise came 4 % worse.
-        true => found.overcount(&inverse_hessian) / spread.curvature_per_weight,
+        true => found.overcount(&inverse_hessian, &precision) / spread.curvature_per_weight,
         false => priors.overcount,
     };
     let are_as_given = likeliest == FocalSpread::CALIBRATED;
     let focal = Some(FocalPrior { spread: likeliest, ..prior.clone() });
     Some((RefinedFocal { factors, log_evidence, are_as_given }, CameraPriors { focal, overcount, ..priors.clone() }))
+}
+
+/// Focal lengths as they stand, which the session does not determine: as uncertain as before it.
+fn undetermined_focal(members: &[Member], priors: &CameraPriors) -> Option<RefinedFocal> {
+    let prior = priors.focal.as_ref()?;
+    let log_factors = prior.log_factors(&members.first()?.observations.cameras);
+    let covariance = prior.precision().cholesky()?.inverse();
+    let factors = focal_factors(&log_factors, &covariance);
+    Some(RefinedFocal { factors, log_evidence: 0.0, are_as_given: false })
+}
+
+/// From logarithms and their covariance.
+fn focal_factors(log_factors: &DVector<f64>, covariance: &DMatrix<f64>) -> Vec<FocalFactor> {
+    let factor = |(k, log_factor): (usize, &f64)| {
+        let value = log_factor.exp();
+        FocalFactor { value, sigma: value * covariance[(k, k)].max(0.0).sqrt() }
+    };
+    log_factors.iter().enumerate().map(factor).collect()
 }
 
 /// The first fit goes on from where the adjustment ended; frames between adjusted ones are carried along.

@@ -77,17 +77,22 @@ impl CameraPriors {
 
     /// Hessian of all priors by the unknowns of the cameras.
     pub(super) fn precision(&self, n_cameras: usize) -> DMatrix<f64> {
+        let of_both = [self.precisions_of_poses(n_cameras), self.precision_of_focal(n_cameras)];
         let n = self.columns(n_cameras).len();
-        let mut hessian = self.precisions_of_poses(n_cameras).unwrap_or_else(|| DMatrix::zeros(n, n));
-        if let Some(prior) = &self.focal {
-            let (of_focal, columns) = (prior.precision() * self.overcount, self.focal_columns(n_cameras));
-            for (i, row) in columns.clone().enumerate() {
-                for (j, column) in columns.clone().enumerate() {
-                    hessian[(row, column)] += of_focal[(i, j)];
-                }
+        of_both.into_iter().flatten().fold(DMatrix::zeros(n, n), |sum, precision| sum + precision)
+    }
+
+    /// Hessian of the prior of the focal lengths by the unknowns of the cameras.
+    pub(super) fn precision_of_focal(&self, n_cameras: usize) -> Option<DMatrix<f64>> {
+        let of_focal = self.focal.as_ref()?.precision() * self.overcount;
+        let (n, columns) = (self.columns(n_cameras).len(), self.focal_columns(n_cameras));
+        let mut hessian = DMatrix::zeros(n, n);
+        for (i, row) in columns.clone().enumerate() {
+            for (j, column) in columns.clone().enumerate() {
+                hessian[(row, column)] = of_focal[(i, j)];
             }
         }
-        hessian
+        Some(hessian)
     }
 
     /// Hessian of the prior of the poses by the unknowns of the cameras, all of which are then free.

@@ -80,15 +80,12 @@ pub fn fit_bodies(
         false => None,
     };
     let has_bias = bias.is_some();
-    if has_bias {
-        progress.report(0.75, "fitting bodies to all observations");
-    }
     let (detector_model, detector) =
         bias.map_or_else(|| (model.clone(), KeypointBias::default()), |bias| (bias.model, bias.report));
     let context = FitContext { model: &detector_model, ..context };
     let adjusted = match config.correlated_errors {
         true => {
-            progress.report(0.7, "adjusting cameras and motions together");
+            progress.report(0.6, "adjusting cameras and motions together");
             correlated_errors(&context, &mut started)?
         }
         false => None,
@@ -102,7 +99,7 @@ pub fn fit_bodies(
     let cameras = adjusted.as_ref().and_then(|adjusted| adjusted.cameras.clone());
     let cameras = match config.latent_motions {
         true => {
-            progress.report(0.75, "fitting latent motions and cameras together");
+            progress.report(0.7, "fitting latent motions and cameras together");
             latent_motions(&context, &mut started)?.or(cameras)
         }
         false => cameras,
@@ -110,6 +107,7 @@ pub fn fit_bodies(
     if let Some(local) = &local {
         local.weigh(&mut started);
     }
+    progress.report(0.75, "fitting bodies to all observations");
     let gap_limit = (config.gap_limit_secs / frame_interval).round() as usize;
     let finish_person = |(track, started): (&PersonTrack, Option<(Observations, StartedMotion)>)| {
         progress.check()?;

@@ -39,6 +39,7 @@ use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, Eliminated};
 use crate::progress::Canceled;
 use nalgebra::Vector3;
 use rayon::prelude::*;
+use std::borrow::Cow;
 use std::ops::Range;
 
 /// One person's part of the session.
@@ -60,7 +61,8 @@ pub(super) struct Member {
 /// The problem over all members.
 pub(super) struct JointProblem<'a> {
     pub context: &'a FitContext<'a>,
-    pub table: &'a OffsetTable,
+    /// The kinds of keypoints whose offsets are unknowns; `None`: they are as in the context's model.
+    pub table: Option<&'a OffsetTable>,
     /// The detector's errors over time.
     pub noise: &'a PathNoise,
     pub bone_prior: BoneLengthPrior,
@@ -74,7 +76,7 @@ pub(super) struct JointProblem<'a> {
 pub(super) struct Stopping {
     /// Steps tried.
     pub max_iterations: usize,
-    /// A step that lowers the cost by less is the last.
+    /// A whole step that lowers the cost by less is the last.
     pub min_decrease: f64,
     /// Where the session's unknowns are this many standard deviations from the minimum, root mean square, the step is the last.
     pub min_sigmas: f64,
@@ -106,6 +108,9 @@ const SHAPE_PRIOR: f64 = 1.0;
 /// First damping of the diagonal. What it holds back are the directions that the session shows least, such as focal lengths with
 /// distances: at 1e-4 these stopped up to two standard deviations short of the minimum (focal lengths 1.4 % off in place of 1.0 %).
 const DAMPING: f64 = 1e-8;
+
+/// Most damping under which a step counts as one to the minimum: a hundredth of that which held directions back.
+const MAX_DAMPING_OF_LAST: f64 = 1e-6;
 
 impl JointProblem<'_> {
     /// Minimises from the states of `members`, which become those of the minimum, and from `offsets`.
@@ -143,13 +148,15 @@ impl JointProblem<'_> {
             };
             let sigmas = reduced.rms_sigmas();
             let (mut next, before) = self.stepped((members, &pixels), &minimum.session, &step);
+            // Little is gained by a step that is held back, too.
+            let is_whole = next.costs.total() < minimum.costs.total() && damping <= MAX_DAMPING_OF_LAST;
             if next.costs.total() >= minimum.costs.total() {
                 self.shorten((members, &pixels), (&reduced, &step), (&minimum, &before), &mut next);
             }
             let decrease = minimum.costs.total() - next.costs.total();
             tracing::trace!(decrease, sigmas, damping, "step of the joint problem");
             if decrease > 0.0 {
-                let is_done = sigmas < stopping.min_sigmas || decrease < stopping.min_decrease;
+                let is_done = is_whole && (sigmas < stopping.min_sigmas || decrease < stopping.min_decrease);
                 minimum = next;
                 damping *= 0.1;
                 if is_done {
@@ -171,7 +178,7 @@ impl JointProblem<'_> {
     }
 
     fn border(&self, n_cameras: usize) -> Border<'_> {
-        Border { shape: Shape::Free, bias: Some(self.table), cameras: self.camera_columns(n_cameras) }
+        Border { shape: Shape::Free, has_bones: true, bias: self.table, cameras: self.camera_columns(n_cameras) }
     }
 
     fn camera_columns(&self, n_cameras: usize) -> CameraColumns {
@@ -196,7 +203,8 @@ impl JointProblem<'_> {
     ) -> MotionProblem<'b> {
         let context = FitContext { model, ..*self.context };
         Objective {
-            bias: Some(self.table),
+            has_bones: true,
+            bias: self.table,
             cameras: self.border_of(member).cameras,
             shape_prior: [SHAPE_PRIOR, 0.0],
             ..Objective::new(&context, context.config, &member.observations, pixels.source(), Shape::Free)
@@ -204,8 +212,14 @@ impl JointProblem<'_> {
         .problem()
     }
 
+    /// The model with offsets of the session.
+    fn model_with(&self, offsets: &[Vector3<f64>]) -> Cow<'_, BodyModel> {
+        let model = self.context.model;
+        self.table.map_or(Cow::Borrowed(model), |table| Cow::Owned(table.applied(model, offsets)))
+    }
+
     fn costs(&self, members: &[Member], pixels: &[DetectedPixels], session: &SessionState) -> Costs {
-        let model = self.table.applied(self.context.model, &session.offsets);
+        let model = self.model_with(&session.offsets);
         let person = |(member, pixels)| self.cost_of(&model, member, pixels);
         let of_people = members.par_iter().zip(pixels).map(person).collect();
         let of_cameras = self.cameras.map_or(0.0, |priors| priors.cost(&session.cameras));
@@ -226,7 +240,7 @@ impl JointProblem<'_> {
         systems: Vec<BlockBanded>,
         damping: f64,
     ) -> Option<Vec<Eliminated>> {
-        let model = self.table.applied(self.context.model, offsets);
+        let model = self.model_with(offsets);
         let person = |((member, pixels), mut system): ((&Member, &DetectedPixels), BlockBanded)| {
             let own = with_bones(&model, &member.bones);
             self.problem(&own, member, pixels).eliminate(&member.state, damping, &mut system)?;

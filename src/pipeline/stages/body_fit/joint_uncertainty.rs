@@ -32,7 +32,6 @@ use super::thinned_motion::rough_stride;
 use super::unseen_limbs::UnseenLimbs;
 use crate::body::anthropometry::N_BETAS;
 use crate::body::bone_offsets::joint_by_bones;
-use crate::body::detector_offsets::OffsetTable;
 use crate::body::kinematics::{PosedSkeleton, joint_by_rotation, joints_by_betas, posed};
 use crate::body::measures::BetaCovariance;
 use crate::body::model::ShapeDirections;
@@ -103,7 +102,6 @@ fn window_uncertainty(
     let shared = shared_error_variance(paths.landmarks.len(), SHARED * slow);
     let alone = SingleCamera::new(context.model, &observations, context.frame_interval);
     let is_open = alone.open_frames();
-    let table = OffsetTable::empty(context.model);
     let objective = Objective::new(context, context.config, &observations, pixels.source(), Shape::Free);
     let n_cameras = cameras.map_or(0, CameraCovariance::n_cameras);
     let columns = CameraColumns { n_cameras, unknowns: CameraUnknowns::default() };
@@ -111,7 +109,7 @@ fn window_uncertainty(
     let completion = context.config.completes_gaps.then(completed).flatten();
     let completion = completion.as_ref();
     let problem = Objective {
-        bias: Some(&table),
+        has_bones: true,
         cameras: columns,
         speeds: Some(&state),
         is_open: &is_open,

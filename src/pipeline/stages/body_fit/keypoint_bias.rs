@@ -82,7 +82,7 @@ fn evidence_of(
     let sigmas = table.kinds.iter().map(|kind| kind.prior_sigma).collect();
     let problem = JointProblem {
         context,
-        table,
+        table: Some(table),
         noise: &noise,
         bone_prior: BoneLengthPrior { sigma: PROPORTION_SIGMA },
         bias_prior: KeypointBiasPrior { sigmas },

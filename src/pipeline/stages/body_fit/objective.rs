@@ -34,7 +34,9 @@ pub(super) struct Objective<'a> {
     pub shape: Shape,
     /// Weights of the prior of the betas against the data: of each, and of girths.
     pub shape_prior: [f64; 2],
-    /// Keypoint offsets as unknowns, with the person's bone offsets; their values are in `model`.
+    /// Whether the person's bone offsets are unknowns; their values, and those of keypoint offsets, are in `model`.
+    pub has_bones: bool,
+    /// Keypoint offsets as unknowns.
     pub bias: Option<&'a OffsetTable>,
     /// The cameras, where they are unknowns.
     pub cameras: CameraColumns,
@@ -76,6 +78,7 @@ impl<'a> Objective<'a> {
             data,
             shape,
             shape_prior: config.shape_priors(),
+            has_bones: false,
             bias: None,
             cameras: CameraColumns::default(),
             speeds: None,
@@ -89,7 +92,7 @@ impl<'a> Objective<'a> {
 
     /// Unknowns shared by all frames.
     pub(super) fn border(&self) -> Border<'a> {
-        Border { shape: self.shape, bias: self.bias, cameras: self.cameras }
+        Border { shape: self.shape, has_bones: self.has_bones, bias: self.bias, cameras: self.cameras }
     }
 
     /// Factor of a frame's cost.

@@ -13,9 +13,9 @@ use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
 const MIN_FREEDOM: f64 = 0.25;
 
 /// Variance of errors over that of the residuals that `n` equations leave of them after determining `p` unknowns:
-/// `n / (n - p)`.
+/// `n / (n - p)`; one where nothing was seen.
 pub(super) fn variance_per_residual(n: f64, p: f64) -> f64 {
-    n / (n - p).max(MIN_FREEDOM * n)
+    if n > 0.0 { n / (n - p).max(MIN_FREEDOM * n) } else { 1.0 }
 }
 
 /// The detector's standard deviation per axis as a share of apparent size, from the median residual.
@@ -26,8 +26,7 @@ pub(super) fn pixel_share(context: &FitContext, observations: &Observations, sta
     let mut shares: Vec<f64> =
         residuals(context.model, observations, state).into_iter().map(|residual| residual.share).collect();
     let [low, high] = context.config.pixel_share_bounds;
-    let n = 2.0 * shares.len() as f64 / state.poses.len().max(1) as f64;
-    let freedom = variance_per_residual(n, context.config.unknowns_per_frame).sqrt();
+    let freedom = variance_per_residual(observations.equations_per_frame(), context.config.unknowns_per_frame).sqrt();
     median(&mut shares).map_or(high, |m| (freedom * m / MEDIAN_LENGTH_IN_PLANE).clamp(low, high))
 }
 

@@ -60,7 +60,7 @@ mod tests {
     #[test]
     fn legs_that_no_image_shows_are_anywhere_below_the_hips() {
         let model = default_body();
-        let border = Border { shape: Shape::Held, bias: None, cameras: CameraColumns::default() };
+        let border = Border { shape: Shape::Held, has_bones: false, bias: None, cameras: CameraColumns::default() };
         let pose = Pose::rest();
         let skeleton = posed(&model.shaped(&Betas::zeros()), &pose);
         let trunk_and_arms = Unknowns::new((0..22).filter(|joint| ![1, 2, 4, 5].contains(joint)), border);

@@ -17,14 +17,15 @@
 //! - what landmarks of one region share ([`shared_error_variance`]): cameras and motions follow it, so that hardly any of it is left in
 //!   the residuals.
 //!
-//! Given poses err as well, by their standard deviations: the gradient of their prior, precision P counted c times, has the variance
-//! `c^2 P`. Cameras of 10 captures (`extrinsics: refine`) are 1.19 and 1.10 times their stated deviations off. So does the step to the
+//! Given poses and focal lengths err as well, by their standard deviations: the gradient of their prior, precision P counted c times, has the
+//! variance `c^2 P`. That of focal lengths counts for the poses alone: what the session shows of these lengths stands apart from their prior. Cameras of 10 captures (`extrinsics: refine`) are 1.19 and 1.10 times their stated deviations off. So does the step to the
 //! cameras whatever the motions ([`marginal_step`](super::marginal_step)), along its own direction.
 
 use super::super::pixel_residuals::{DetectedPixels, shared_error_variance};
 use super::super::session_state::SessionState;
 use super::super::terms::whitened_pixels::scores::Movements;
 use super::following::{Following, N_SAMPLES};
+use super::marginal_step::SHARE_SIGMA;
 use super::{JointProblem, Member, Reduced, cameras_of};
 use crate::optim::robust::Curvature;
 use nalgebra::{DMatrix, DVector};
@@ -50,7 +51,10 @@ impl JointProblem<'_> {
         let session = SessionState { offsets: Vec::new(), cameras: cameras_of(members) };
         let reduced = self.reduced((members, &pixels), &session, self.systems(members), 0.0)?;
         let following = self.following(&reduced, (members, &pixels));
-        let found = following.and_then(|following| self.spread(&reduced, (members, &pixels), &following, slow));
+        let found = following.and_then(|following| {
+            let gradient = self.spread_gradient(&reduced, (members, &pixels), &following)?;
+            Some(self.spread(&reduced, (members, &pixels), &following, slow)?.with_uncertain_share(&gradient))
+        });
         self.close(reduced, members);
         found
     }
@@ -86,11 +90,12 @@ impl JointProblem<'_> {
         let of_priors = self.cameras.map(|priors| basis.tr_mul(&(priors.precision(n_cameras) * basis)));
         let curvature_per_weight = curvature.per_weight();
         let inverse_hessian = reduced.inverse_hessian(curvature_per_weight, of_priors.as_ref())?;
+        let found = CameraSpread { basis: basis.clone(), inverse_hessian, curvature_per_weight, scores: spread };
         let of_poses = self.cameras.and_then(|priors| Some((priors.precisions_of_poses(n_cameras)?, priors.overcount)));
-        if let Some((of_poses, overcount)) = of_poses {
-            spread += of_poses * overcount;
-        }
-        Some(CameraSpread { basis: basis.clone(), inverse_hessian, curvature_per_weight, scores: spread })
+        Some(match of_poses {
+            Some((of_poses, overcount)) => found.with_uncertain_prior(&of_poses, overcount),
+            None => found,
+        })
     }
 
     /// Scores of one person's channels by the free directions of the session.
@@ -130,6 +135,7 @@ impl JointProblem<'_> {
 }
 
 /// How far the cameras may be from where they are, in the free directions of the session.
+#[derive(Clone)]
 pub(in super::super) struct CameraSpread {
     /// Of the cameras' unknowns by the free directions.
     basis: DMatrix<f64>,
@@ -141,11 +147,17 @@ pub(in super::super) struct CameraSpread {
 }
 
 impl CameraSpread {
-    /// The same where the gradient of the cost errs, besides, by `gradient` times a number of mean 0 and variance 1.
+    /// The same where the share of the motions' spread that counts is uncertain by [`SHARE_SIGMA`].
     ///
-    /// `gradient`: by the free directions.
-    pub(super) fn with_uncertain_gradient(mut self, gradient: &DVector<f64>) -> Self {
-        self.scores.ger(1.0, gradient, gradient, 1.0);
+    /// `gradient`: of all of it ([`JointProblem::spread_gradient`]), by the free directions.
+    pub(super) fn with_uncertain_share(mut self, gradient: &DVector<f64>) -> Self {
+        self.scores.ger(SHARE_SIGMA * SHARE_SIGMA, gradient, gradient, 1.0);
+        self
+    }
+
+    /// The same with the errors of what is given of the cameras' unknowns. `precision`: of the prior, counted `overcount` times.
+    pub(super) fn with_uncertain_prior(mut self, precision: &DMatrix<f64>, overcount: f64) -> Self {
+        self.scores += self.basis.tr_mul(&(precision * &self.basis)) * overcount;
         self
     }
 
@@ -179,7 +191,7 @@ mod tests {
     /// Cameras that see people from opposite sides were 3 times as far off as stated: how far motions follow errors, which moves
     /// such cameras by many standard deviations, was taken for known.
     #[test]
-    fn an_uncertain_gradient_spreads_cameras_along_its_step() {
+    fn an_uncertain_share_spreads_cameras_along_its_step() {
         let vector = |values: [f64; 3]| DVector::from_column_slice(&values);
         let spread = CameraSpread {
             basis: DMatrix::identity(3, 3),
@@ -188,8 +200,8 @@ mod tests {
             scores: DMatrix::from_diagonal(&vector([0.25, 1.0, 2.0])),
         };
         let before = spread.covariance(&[0, 1, 2]);
-        let after = spread.with_uncertain_gradient(&vector([1.0, -2.0, 0.0])).covariance(&[0, 1, 2]);
-        let step = vector([4.0, -2.0, 0.0]);
+        let after = spread.with_uncertain_share(&vector([1.0, -2.0, 0.0])).covariance(&[0, 1, 2]);
+        let step = vector([4.0, -2.0, 0.0]) * SHARE_SIGMA;
         assert!((after - before - &step * step.transpose()).norm() < 1e-12);
     }
 }

@@ -43,7 +43,7 @@ pub(super) const SHARE: f64 = 0.4;
 /// It counts where the step is long: of the ten pairs of Shelf's cameras it is 0.3 to 16 standard deviations of the normal equations long, of
 /// six more than 4. Without it orientations of these pairs were 3.0 times as far off as stated, with it 1.9 times; a share of 0.7 would fit
 /// them best. Of simulated pairs it is at most 1 long.
-const SHARE_SIGMA: f64 = 0.2;
+pub(super) const SHARE_SIGMA: f64 = 0.2;
 
 /// Rise of the cost over the expected one beyond which a step is not taken, and a rise that never stops it: half of a squared
 /// standard deviation, as the minimisation's last step.
@@ -74,7 +74,7 @@ impl JointProblem<'_> {
             let gradient = self.spread_gradient(&reduced, (members, &pixels), &following)?;
             let spread = self.spread(&reduced, (members, &pixels), &following, slow);
             self.step_to_likeliest(&reduced, (members, &pixels), &gradient, &session);
-            Some(spread?.with_uncertain_gradient(&(gradient * SHARE_SIGMA)))
+            Some(spread?.with_uncertain_share(&gradient))
         });
         self.close(reduced, members);
         Ok(spread.and_then(|spread| self.covariance(members, &spread)))
@@ -117,8 +117,16 @@ impl JointProblem<'_> {
         let cameras = &members.first()?.observations.cameras;
         let n = self.camera_columns(cameras.len()).unknowns.len();
         let poses: Vec<usize> = (0..cameras.len()).flat_map(|camera| n * camera..n * camera + POSE).collect();
+        let of_focal =
+            self.cameras.and_then(|priors| Some((priors.precision_of_focal(cameras.len())?, priors.overcount)));
+        let covariance = match of_focal {
+            Some((precision, overcount)) => {
+                spread.clone().with_uncertain_prior(&precision, overcount).covariance(&poses)
+            }
+            None => spread.covariance(&poses),
+        };
         let cameras: Vec<Rigid> = cameras.iter().map(|camera| camera.camera_from_world).collect();
-        CameraCovariance::new(cameras, spread.covariance(&poses), &self.middle_of_people(members))
+        CameraCovariance::new(cameras, covariance, &self.middle_of_people(members))
     }
 
     /// `g`, by the free directions of the session.

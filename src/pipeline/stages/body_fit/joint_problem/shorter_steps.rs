@@ -22,7 +22,7 @@ impl JointProblem<'_> {
         (from, before): (&Minimum, &[MotionAndBones]),
         to: &mut Minimum,
     ) {
-        let model = self.table.applied(self.context.model, &to.session.offsets);
+        let model = self.model_with(&to.session.offsets);
         for (k, member) in members.iter_mut().enumerate() {
             if to.costs.of_people[k] <= from.costs.of_people[k] {
                 continue;
@@ -104,10 +104,10 @@ mod tests {
     fn a_limb_that_turned_round_held_up_all_others() {
         let surroundings = Surroundings::new();
         let (context, model) = (surroundings.context(), &surroundings.model);
-        let (table, noise) = (OffsetTable::empty(model), PathNoise::white(model.landmarks.len(), 0.01));
+        let noise = PathNoise::white(model.landmarks.len(), 0.01);
         let problem = JointProblem {
             context: &context,
-            table: &table,
+            table: None,
             noise: &noise,
             bone_prior: BoneLengthPrior { sigma: 0.01 },
             bias_prior: KeypointBiasPrior { sigmas: Vec::new() },

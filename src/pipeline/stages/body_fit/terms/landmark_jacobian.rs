@@ -118,18 +118,18 @@ impl BorderJacobian {
         let shown = &model.landmarks[landmark];
         let betas = joint_directions.map(|directions| landmark_by_betas(shown, skeleton, directions));
         let mut blocks = Vec::new();
-        if let Some(table) = border.bias {
-            let mut add = |column: usize, block: Matrix3<f64>| match blocks.iter_mut().find(|(c, _)| *c == column) {
-                Some((_, sum)) => *sum += block,
-                None => blocks.push((column, block)),
-            };
+        let mut add = |column: usize, block: Matrix3<f64>| match blocks.iter_mut().find(|(c, _)| *c == column) {
+            Some((_, sum)) => *sum += block,
+            None => blocks.push((column, block)),
+        };
+        if border.has_bones {
             for (bone, block) in landmark_by_bones(shown, &skeleton.rotations) {
                 add(border.bones().start + 3 * bone, block);
             }
-            if let Some(moved) = table.of_landmark(landmark) {
-                let block = skeleton.rotations[moved.joint] * moved.mirror;
-                add(border.keypoint_bias().start + 3 * moved.kind, block);
-            }
+        }
+        if let Some(moved) = border.bias.and_then(|table| table.of_landmark(landmark)) {
+            let block = skeleton.rotations[moved.joint] * moved.mirror;
+            add(border.keypoint_bias().start + 3 * moved.kind, block);
         }
         Self { betas, blocks }
     }

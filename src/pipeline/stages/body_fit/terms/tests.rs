@@ -35,7 +35,7 @@ pub(super) fn wave(i: usize) -> f64 {
 /// Five frames of one person with points and pixels of all landmarks.
 pub(super) struct Fixture {
     pub surroundings: Surroundings,
-    pub table: OffsetTable,
+    pub table: Option<OffsetTable>,
     pub observations: Observations,
     pub state: MotionState,
 }
@@ -73,12 +73,12 @@ impl Fixture {
             pixels: (0..N_FRAMES).map(|t| landmarks.clone().map(|l| pixel(t, l)).collect()).collect(),
         };
         let state = MotionState { betas: Betas::from_fn(|k, _| wave(k)), poses: (0..N_FRAMES).map(pose).collect() };
-        let table = OffsetTable::new(model, KeypointConvention::Body25);
+        let table = Some(OffsetTable::new(model, KeypointConvention::Body25));
         Self { surroundings, table, observations, state }
     }
 
     fn border(&self) -> Border<'_> {
-        Border { shape: Shape::Free, bias: Some(&self.table), cameras: CameraColumns::default() }
+        Border { shape: Shape::Free, has_bones: true, bias: self.table.as_ref(), cameras: CameraColumns::default() }
     }
 
     /// The model with some bone and keypoint offsets, and increments of them in `border`.
@@ -86,10 +86,11 @@ impl Fixture {
         let offset = |first: usize, k: usize| {
             Vector3::from_fn(|axis, _| 0.1 * wave(5 * k + axis)) + border.fixed_rows::<3>(first + 3 * k)
         };
-        let bias =
-            (0..self.table.kinds.len()).map(|k| offset(self.border().keypoint_bias().start, k)).collect::<Vec<_>>();
         let bones: BoneOffsets = std::array::from_fn(|k| offset(self.border().bones().start, k));
-        with_bones(&self.table.applied(&self.surroundings.model, &bias), &bones)
+        let own = with_bones(&self.surroundings.model, &bones);
+        let Some(table) = &self.table else { return own };
+        let bias: Vec<_> = (0..table.kinds.len()).map(|k| offset(self.border().keypoint_bias().start, k)).collect();
+        table.applied(&own, &bias)
     }
 
     pub(super) fn objective<'a>(&'a self, model: &'a BodyModel, data: DataSource<'a>, shape: Shape) -> Objective<'a> {
@@ -101,7 +102,8 @@ impl Fixture {
     fn problem<'a>(&'a self, model: &'a BodyModel, data: DataSource<'a>, only: Option<usize>) -> MotionProblem<'a> {
         let objective = self.objective(model, data, Shape::Free);
         // Typical accelerations: those scaled by speed would follow the model's bones, but are constants of the problem.
-        let mut problem = Objective { bias: Some(&self.table), shape_prior: [3.0, 7.0], ..objective }.problem();
+        let terms = Objective { has_bones: true, bias: self.table.as_ref(), shape_prior: [3.0, 7.0], ..objective };
+        let mut problem = terms.problem();
         keep(&mut problem, only);
         problem
     }
@@ -152,7 +154,16 @@ pub(super) fn keep(problem: &mut MotionProblem, only: Option<usize>) {
 /// Data, joint limits, pose prior, smoothness, foot contact and shape, over poses, betas, bone and keypoint offsets.
 #[test]
 fn gradients_of_motion_terms_match_differences() {
-    let fixture = Fixture::new();
+    assert_gradients_of_terms(&Fixture::new());
+}
+
+/// Bones are unknowns of the adjustment of cameras, in which keypoints have no offsets.
+#[test]
+fn gradients_by_bones_alone_match_differences() {
+    assert_gradients_of_terms(&Fixture { table: None, ..Fixture::new() });
+}
+
+fn assert_gradients_of_terms(fixture: &Fixture) {
     let start = fixture.model_at(&DVector::zeros(fixture.border().len()));
     for data in [DataSource::Points { sigma: 0.5 }, DataSource::Pixels { share: 0.2 }] {
         let all = fixture.problem(&start, data, None);

@@ -108,7 +108,8 @@ fn problem<'a>(
     cameras: CameraColumns,
 ) -> MotionProblem<'a> {
     let objective = fixture.objective(model, DataSource::Paths(pixels), Shape::Free);
-    let mut problem = Objective { bias: Some(&fixture.table), observations, cameras, ..objective }.problem();
+    let bias = fixture.table.as_ref();
+    let mut problem = Objective { has_bones: true, bias, observations, cameras, ..objective }.problem();
     keep(&mut problem, PATHS_ALONE);
     problem
 }
@@ -118,7 +119,7 @@ fn gradient_of_whitened_pixels_matches_differences() {
     let fixture = Fixture::new();
     let observations = two_views(&fixture);
     let columns = CameraColumns { n_cameras: 2, unknowns: CameraUnknowns { focal: true } };
-    let border = Border { shape: Shape::Free, bias: Some(&fixture.table), cameras: columns };
+    let border = Border { shape: Shape::Free, has_bones: true, bias: fixture.table.as_ref(), cameras: columns };
     let (pixels, cameras) = (whitened(&fixture, &observations), border.camera_columns());
     let start = fixture.model_at(&DVector::zeros(border.len()));
     let all = problem(&fixture, &start, &observations, &pixels, columns);

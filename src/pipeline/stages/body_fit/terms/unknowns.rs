@@ -45,8 +45,9 @@ pub(crate) enum Shape {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Border<'a> {
     pub shape: Shape,
-    /// The keypoint offsets, where they are unknowns; the person's bone offsets then are, too. Values of both are in the
-    /// body model.
+    /// Whether the person's bone offsets are unknowns. Their values, and those of keypoint offsets, are in the body model.
+    pub has_bones: bool,
+    /// The keypoint offsets, where they are unknowns.
     pub bias: Option<&'a OffsetTable>,
     /// The cameras, where they are unknowns.
     pub cameras: CameraColumns,
@@ -77,7 +78,7 @@ impl Border<'_> {
     /// Columns of the bone offsets, three per bone.
     pub(crate) fn bones(&self) -> Range<usize> {
         let first = self.betas().end;
-        first..first + if self.bias.is_some() { 3 * N_BONES } else { 0 }
+        first..first + if self.has_bones { 3 * N_BONES } else { 0 }
     }
 
     /// Columns of the keypoint offsets, three per kind of keypoint.
