@@ -5,17 +5,21 @@ use super::app::App;
 use super::body::GuardedBody;
 use super::error::Problem;
 use super::extract::{ApiPath, JobPath};
-use super::results::{FileRequest, JsonFile, published_fence};
+use super::results::{FileRequest, JsonFile, published_fence, replaced};
 use super::upload::unless_refused;
 use crate::service::exports::{ExtensionError, extend};
+use crate::service::queue::Extension;
 use crate::service::store::Tenant;
-use crate::service::store::artifacts;
+use crate::service::store::artifacts::Artifact;
 use crate::session::reconstruction::ExportFormat;
 use axum::body::Body;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
 use serde::Deserialize;
 use utoipa::ToSchema;
+
+/// Tries to add formats to a result that other processes extend at the same time; each lost try means that another request was served.
+const MAX_TRIES: usize = 4;
 
 /// Formats to add to a result.
 #[derive(Debug, Deserialize, ToSchema)]
@@ -63,34 +67,60 @@ async fn read_formats(app: &App, headers: &HeaderMap, body: Body) -> Result<Vec<
 }
 
 async fn add_formats(app: &App, tenant: &Tenant, id: &str, formats: Vec<ExportFormat>) -> Result<(), Problem> {
-    let _turn = app.exporting.acquire().await.map_err(Problem::internal)?;
-    let fence = published_fence(app, tenant, id).await?;
+    let _turn = app.exporting.acquire().await.map_err(Problem::internal)?; // of this process; others are met by the fence
     let _space = app.store.reserve(tenant, app.settings.tenants.max_bytes, 0, false).await?;
-    let known = artifacts::list(&app.store, id).await?;
+    for _ in 0..MAX_TRIES {
+        let extension = app.queue.begin_extension(tenant, id).await?.ok_or_else(|| Problem::not_found("job"))?;
+        let files = match build(app, id, &extension, &formats).await {
+            Ok(None) => return Ok(()),
+            Ok(Some(files)) => files,
+            Err(problem) => {
+                app.store.remove_claim(id, extension.fence).await; // no row names it
+                if published_fence(app, tenant, id).await? == extension.published {
+                    return Err(problem);
+                }
+                continue; // the files were those of a result that another process has replaced
+            }
+        };
+        // An error leaves open whether the rows were written: the files stay, and the next start or the sweep of the object store
+        // removes them if no row refers to them.
+        if app.queue.replace_result(tenant, id, &extension, &files).await? {
+            return Ok(());
+        }
+        app.store.remove_claim(id, extension.fence).await;
+    }
+    Err(replaced())
+}
+
+/// Builds the result with further formats in the folder of its own fence, and hands it over; `None`, without files, if the published
+/// result has all formats already.
+async fn build(
+    app: &App,
+    id: &str,
+    extension: &Extension,
+    formats: &[ExportFormat],
+) -> Result<Option<Vec<Artifact>>, Problem> {
+    let Extension { published, files: known, fence } = extension;
     let folders = &app.store.folders;
-    let result = app.store.blobs.result(id, fence, &known).await?;
-    let (staging, extended) = (folders.staging(id, fence + 1), folders.result(id, fence + 1));
+    let result = app.store.blobs.result(id, *published, known).await?;
+    let (staging, extended) = (folders.staging(id, *fence), folders.result(id, *fence));
+    let (known, formats) = (known.clone(), formats.to_vec());
     let made = tokio::task::spawn_blocking(move || {
         let result = result; // the whole value: the folder exists as long as it does
         extend(&result.path, &known, &formats, &staging, &extended)
     });
-    let files = match made.await.map_err(Problem::internal)? {
-        Ok(Some(files)) => files,
-        Ok(None) => return Ok(()),
-        Err(_) if app.queue.get(tenant, id).await?.is_none() => return Err(Problem::not_found("job")), // deleted meanwhile
-        Err(ExtensionError::Write(error)) => return Err(Problem::from_io(&error)),
+    match made.await.map_err(Problem::internal)? {
+        Ok(None) => Ok(None),
+        Ok(Some(files)) => {
+            app.store.blobs.take_result(id, *fence, &files).await?;
+            Ok(Some(files))
+        }
+        Err(ExtensionError::Write(error)) => Err(Problem::from_io(&error)),
         Err(error) => {
             tracing::error!(job.id = id, %error, "formats cannot be added to a published result");
             let remedy = "run the job again and inform the operator";
             let status = StatusCode::INTERNAL_SERVER_ERROR;
-            return Err(Problem::new(status, "corrupt", "the published result is damaged or cannot be read", remedy));
+            Err(Problem::new(status, "corrupt", "the published result is damaged or cannot be read", remedy))
         }
-    };
-    app.store.blobs.take_result(id, fence + 1, &files).await?;
-    // An error leaves open whether the rows were written: the folder stays, and the next start removes it if no row refers to it.
-    if app.queue.replace_result(tenant, id, fence, &files).await? {
-        return Ok(());
     }
-    app.store.remove_claim(id, fence + 1).await;
-    Err(Problem::not_found("job"))
 }

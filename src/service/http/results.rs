@@ -172,7 +172,8 @@ pub(super) async fn published_fence(app: &App, tenant: &Tenant, id: &str) -> Res
     }
 }
 
-fn replaced() -> Problem {
+/// Says that a request has met a change of the result.
+pub(super) fn replaced() -> Problem {
     Problem::unavailable("busy", "formats were added to the result in this moment")
 }
 

@@ -1,7 +1,7 @@
 //! The end of a claim: its outcome is recorded once, however often it is reported.
 //!
 //! If the answer to a COMMIT is lost, the worker reports again what is already recorded. The row shows it: the job has ended or is
-//! queued under the same fence, and only this claim can have done that.
+//! queued under the same fence, or its result has that fence, and only this claim can have done that.
 
 use super::claim::Claim;
 use super::handle::Queue;
@@ -134,7 +134,8 @@ async fn lock_row(transaction: &mut WriteTransaction, claim: &Claim) -> Result<C
     if let Some(row) = open {
         return Ok(ClaimRow::Open { phase: phase_from_row(&row)?, crashes: row.try_get("crashes")? });
     }
-    let ended = sqlx::query("SELECT state FROM jobs WHERE id = $1 AND fence = $2");
+    // Later fences of a succeeded job are those of results with further formats.
+    let ended = sqlx::query("SELECT state FROM jobs WHERE id = $1 AND (fence = $2 OR result_fence = $2)");
     let ended = ended.bind(&claim.job).bind(claim.fence).fetch_optional(&mut **transaction).await?;
     Ok(match ended {
         Some(row) if !fault("commit.forgotten") => ClaimRow::Ended(phase_from_row(&row)?),

@@ -39,6 +39,7 @@ mod tests;
 
 pub use claim::{Claim, ClaimStatus};
 pub use enqueue::{EnqueueError, IdempotencyKey, NewJob, QueueLimits};
+pub use exports::Extension;
 pub use finish::{Finished, Published};
 pub use follow::Following;
 pub use handle::{Cancel, JobFilter, LabelFilter, LogLine, Queue};

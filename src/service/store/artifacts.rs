@@ -32,12 +32,20 @@ pub async fn get(store: &Store, job: &str, name: &str) -> Result<Option<Artifact
     Ok(row.fetch_optional(store.read()).await?)
 }
 
+const ALL_FILES: &str = "SELECT name, media_type, bytes, sha256 FROM artifacts WHERE job_id = $1 ORDER BY name";
+
 /// Returns all files of a job by name.
 ///
 /// # Errors
 /// When the store fails.
 pub async fn list(store: &Store, job: &str) -> Result<Vec<Artifact>, StoreError> {
-    let rows = sqlx::query_as("SELECT name, media_type, bytes, sha256 FROM artifacts WHERE job_id = $1 ORDER BY name")
-        .bind(job);
-    Ok(rows.fetch_all(store.read()).await?)
+    Ok(sqlx::query_as(ALL_FILES).bind(job).fetch_all(store.read()).await?)
+}
+
+/// Returns all files of a job whose row the transaction has locked.
+///
+/// # Errors
+/// When the store fails.
+pub async fn list_locked(transaction: &mut WriteTransaction, job: &str) -> Result<Vec<Artifact>, StoreError> {
+    Ok(sqlx::query_as(ALL_FILES).bind(job).fetch_all(&mut **transaction).await?)
 }

@@ -43,6 +43,44 @@ async fn a_result_survives_a_lost_answer_to_its_commit() {
     assert_eq!(stored, 15, "the result counts once");
 }
 
+/// A succeeded job with its claim and outcome.
+async fn succeeded(test: &TestQueue) -> (String, super::super::claim::Claim, ClaimOutcome<Published>) {
+    let id = test.enqueue(0).await;
+    let claim = test.queue.claim(i64::MAX).await.unwrap().unwrap();
+    let outcome = ClaimOutcome::Succeeded(published(&test.queue.store.folders.result(&id, claim.fence), 1));
+    let finished = test.queue.finish(&claim, &outcome, 3).await.unwrap();
+    assert_eq!(finished, Finished::Recorded(Phase::Succeeded));
+    (id, claim, outcome)
+}
+
+#[tokio::test]
+async fn two_processes_that_add_formats_never_share_a_folder() {
+    let test = TestQueue::new().await;
+    let (id, ..) = succeeded(&test).await;
+    let begin = || async { test.queue.begin_extension(&tenant(), &id).await.unwrap().unwrap() };
+    let (first, second) = (begin().await, begin().await);
+    assert_eq!((first.published, second.published), (1, 1));
+    assert_eq!((first.fence, second.fence, second.files.len()), (2, 3, 1), "a failed attempt is not in the way");
+    let folders = &test.queue.store.folders;
+    for extension in [&first, &second] {
+        std::fs::create_dir_all(folders.result(&id, extension.fence)).unwrap();
+    }
+    assert!(test.queue.replace_result(&tenant(), &id, &second, &second.files).await.unwrap());
+    assert!(!test.queue.replace_result(&tenant(), &id, &first, &first.files).await.unwrap());
+    test.queue.store.remove_claim(&id, first.fence).await;
+    assert_eq!([2, 3].map(|fence| folders.result(&id, fence).exists()), [false, true]);
+    assert_eq!(begin().await.published, second.fence);
+}
+
+#[tokio::test]
+async fn a_report_repeated_while_formats_are_added_is_not_lost() {
+    let test = TestQueue::new().await;
+    let (id, claim, outcome) = succeeded(&test).await;
+    test.queue.begin_extension(&tenant(), &id).await.unwrap().unwrap();
+    let again = test.queue.finish(&claim, &outcome, 3).await.unwrap();
+    assert_eq!(again, Finished::Recorded(Phase::Succeeded), "a lost claim removes its files");
+}
+
 #[tokio::test]
 async fn a_repeated_report_gives_the_recorded_state() {
     let outcomes = [ClaimOutcome::Failed(JobError::default()), ClaimOutcome::Released, crashed(), disk_full()];
