@@ -1,5 +1,6 @@
 """Repetition of requests, against a server that fails on purpose."""
 
+import hashlib
 import http.server
 import json
 import threading
@@ -7,6 +8,7 @@ import threading
 import pytest
 
 from wandless import Client, Problem
+from wandless._operations import Answer, artifact
 
 SESSION = {"id": "session_1"}
 
@@ -71,3 +73,12 @@ def test_patience_ends(flaky):
     Flaky.plan = [503] * 1000
     with pytest.raises(Problem):
         flaky.submit("session_1")
+
+
+def test_weak_tag_of_a_proxy_still_names_the_digest():
+    body = b"bytes"
+    operation = artifact("job_1", "people.json", patience_s=0)
+    next(operation)
+    with pytest.raises(StopIteration) as end:
+        operation.send(Answer(200, {"ETag": f'W/"{hashlib.sha256(body).hexdigest()}"'}, body))
+    assert end.value.value == body

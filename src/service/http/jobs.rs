@@ -2,7 +2,7 @@
 
 use super::access::Caller;
 use super::app::App;
-use super::conditions::require_match;
+use super::conditions::{is_unchanged, require_match};
 use super::error::Problem;
 use super::extract::{ApiPath, ApiQuery, JobPath};
 use super::page::{self, PageQuery};
@@ -119,11 +119,10 @@ pub(super) async fn get(
         Some(seconds) => Duration::from_secs_f64(seconds.min(app.settings.limits.max_wait.as_secs_f64())),
         None => Duration::ZERO,
     };
-    let known = headers.get(header::IF_NONE_MATCH).and_then(|value| value.to_str().ok()).map(str::to_owned);
-    let job = wait_for_change(&app, &tenant, &id, known.as_deref(), wait).await?;
+    let job = wait_for_change(&app, &tenant, &id, &headers, wait).await?;
     let tag = etag(&job);
     require_match(&headers, &tag)?;
-    if known.is_some_and(|known| known == tag) {
+    if is_unchanged(&headers, &tag) {
         return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, tag)]).into_response());
     }
     Ok(answer(job).into_response())
@@ -134,7 +133,7 @@ async fn wait_for_change(
     app: &App,
     tenant: &Tenant,
     id: &str,
-    known: Option<&str>,
+    headers: &HeaderMap,
     wait: Duration,
 ) -> Result<Job, Problem> {
     let _held = Held::new(&app.metrics);
@@ -145,8 +144,11 @@ async fn wait_for_change(
     loop {
         let job = app.queue.get(tenant, id).await?.ok_or_else(|| Problem::not_found("job"))?;
         let tag = etag(&job);
-        let before = known.unwrap_or_else(|| first_tag.get_or_insert_with(|| tag.clone()));
-        if tag != before || job.state.phase().is_final() || Instant::now() >= deadline || draining.is_cancelled() {
+        let is_known = match headers.contains_key(header::IF_NONE_MATCH) {
+            true => is_unchanged(headers, &tag),
+            false => *first_tag.get_or_insert_with(|| tag.clone()) == tag,
+        };
+        if !is_known || job.state.phase().is_final() || Instant::now() >= deadline || draining.is_cancelled() {
             return Ok(job);
         }
         tokio::select! {
