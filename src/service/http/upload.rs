@@ -7,11 +7,12 @@ use super::multipart::Multipart;
 use crate::service::failpoint::failpoint;
 use crate::service::store::reservation::Reservation;
 use crate::service::store::sessions::{self, Added, SessionSummary};
-use crate::service::store::{Tenant, new_id};
+use crate::service::store::{Store, Tenant, new_id};
 use crate::service::validation::{self, ValidationError};
 use crate::session::upload::{Fault, UploadError, UploadErrorKind};
 use axum::body::Body;
 use axum::http::{HeaderMap, StatusCode, header};
+use tracing::Instrument;
 
 /// Media type of a request body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -157,7 +158,7 @@ pub(super) async fn unless_refused<T>(body: Result<T, Refused<'_>>) -> Result<T,
 
 /// Validates and stores an upload; bytes that the tenant uploaded before give the stored session.
 pub(super) async fn keep(app: &App, tenant: &Tenant, received: Received) -> Result<Added, Problem> {
-    let Received { spooled, reservation: _until_the_row_exists } = received;
+    let spooled = &received.spooled;
     if let Some(session) = sessions::get_by_sha256(&app.store, tenant, &spooled.sha256).await? {
         return Ok(Added { session, is_new: false });
     }
@@ -165,24 +166,39 @@ pub(super) async fn keep(app: &App, tenant: &Tenant, received: Received) -> Resu
     let _turn = app.validations.acquire().await.map_err(Problem::internal)?; // each may take its whole memory limit
     let read = validation::validate(&app.settings, &spooled.file.path).await?;
     let summary = SessionSummary { sha256: spooled.sha256.clone(), bytes: spooled.bytes, ..read };
-    let folders = app.store.folders.clone();
+    let (store, tenant, max_bytes) = (app.store.clone(), tenant.clone(), app.settings.tenants.max_bytes);
+    // The work outlives its request: a client that leaves must not leave bytes without a row behind.
+    let recorded = async move { record(&store, &tenant, received, &summary, max_bytes).await };
+    tokio::spawn(recorded.in_current_span()).await.map_err(Problem::internal)?
+}
+
+/// Gives a validated upload its name and its row.
+async fn record(
+    store: &Store,
+    tenant: &Tenant,
+    received: Received,
+    summary: &SessionSummary,
+    max_bytes: i64,
+) -> Result<Added, Problem> {
+    let Received { spooled, reservation: _until_the_row_exists } = received;
+    let folders = store.folders.clone();
     let kept = tokio::task::spawn_blocking(move || -> Result<_, Problem> {
         let id = new_id("session");
         spooled.file.keep_as(&folders.session(&id)).map_err(|e| Problem::from_io(&e))?;
         Ok(id)
     });
     let id = kept.await.map_err(Problem::internal)??;
-    app.store.blobs.take_session(&id, &summary.sha256).await?;
-    let added = sessions::add(&app.store, tenant, &id, &summary, app.settings.tenants.max_bytes).await;
+    store.blobs.take_session(&id, &summary.sha256).await?;
+    let added = sessions::add(store, tenant, &id, summary, max_bytes).await;
     failpoint("upload.recorded");
     if added.as_ref().is_ok_and(|added| added.is_new) {
         return Ok(added?);
     }
     // The same bytes arrived twice at the same time, or the row was refused. An error can also mean that the answer to the
     // COMMIT was lost: then the row is there, and the bytes belong to it.
-    match sessions::get(&app.store, tenant, &id).await {
+    match sessions::get(store, tenant, &id).await {
         Ok(Some(session)) => return Ok(Added { session, is_new: true }),
-        Ok(None) => app.store.remove_files("sessions", &id).await,
+        Ok(None) => store.remove_files("sessions", &id).await,
         Err(error) => {
             tracing::warn!(%error, session.id = id, "an upload may have no row; the next start removes it then")
         }
