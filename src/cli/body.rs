@@ -1,13 +1,15 @@
 //! `wandless body`: inspects, registers and exports body models.
 
 use super::bad_input::BadInput;
+#[cfg(feature = "service")]
+use super::data_folder::DataFolder;
 use super::simulate::parse_convention;
 use crate::body::dense_landmarks::{checked_table, spread_over_skin};
 use crate::body::loader::{LandmarkTable, body_glb, body_npz, body_obj, load_body};
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention, PARENTS};
 use crate::body::{Betas, BodyModel, default_body};
 #[cfg(feature = "service")]
-use crate::service::{bodies, settings::DEFAULT_DATA};
+use crate::service::bodies;
 use crate::session::formats::native::landmarks_json;
 use anyhow::Context;
 use std::path::{Path, PathBuf};
@@ -39,16 +41,14 @@ enum Action {
         /// JSON file that maps face and foot keypoints to vertices of the body
         #[arg(long)]
         landmarks: Option<PathBuf>,
-        /// Data folder of the service
-        #[arg(long, default_value = DEFAULT_DATA)]
-        data: PathBuf,
+        #[command(flatten)]
+        data: DataFolder,
     },
     /// List the registered bodies
     #[cfg(feature = "service")]
     List {
-        /// Data folder of the service
-        #[arg(long, default_value = DEFAULT_DATA)]
-        data: PathBuf,
+        #[command(flatten)]
+        data: DataFolder,
     },
     /// Write a table of landmarks that are spread over a body's skin, behind the keypoints of a convention
     Landmarks {
@@ -89,14 +89,14 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
         #[cfg(feature = "service")]
         Action::Add { name, file, landmarks, data } => {
             let table = read_table(landmarks.as_deref())?;
-            let added = bodies::add(&bodies::folder(&data), &name, &file, &table);
+            let added = bodies::add(&bodies::folder(&data.path()?), &name, &file, &table);
             let model = added.map_err(|error| BadInput(format!("{}: {error}", file.display())))?;
             println!("{name}: sha256 {}", model.sha256());
             Ok(())
         }
         #[cfg(feature = "service")]
         Action::List { data } => {
-            for body in bodies::list(&bodies::folder(&data))? {
+            for body in bodies::list(&bodies::folder(&data.path()?))? {
                 println!("{}: {}", body.name, body.file);
             }
             Ok(())

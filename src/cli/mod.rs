@@ -26,6 +26,8 @@ mod client;
 #[cfg(feature = "service")]
 mod confinement;
 #[cfg(feature = "service")]
+mod data_folder;
+#[cfg(feature = "service")]
 mod demo;
 #[cfg(feature = "service")]
 mod key;

@@ -2,9 +2,10 @@
 
 use super::bad_input::BadInput;
 use super::client::without_userinfo;
+use super::data_folder::DataFolder;
 use super::serve::layers;
 use crate::service::safety;
-use crate::service::settings::{DEFAULT_DATA, Settings};
+use crate::service::settings::Settings;
 use crate::service::store::Store;
 #[cfg(feature = "scale")]
 use crate::service::store::new_id;
@@ -17,19 +18,17 @@ use std::time::Duration;
 pub(super) struct BackupArgs {
     /// Backup folder; must be empty or not exist
     to: PathBuf,
-    /// Data folder of the service
-    #[arg(long, default_value = DEFAULT_DATA)]
-    data: PathBuf,
+    #[command(flatten)]
+    data: DataFolder,
 }
 
 /// Arguments of `restore`.
 #[derive(Debug, clap::Args)]
 pub(super) struct RestoreArgs {
-    /// Backup folder
+    /// Backup folder; the data folder must be empty or not exist
     from: PathBuf,
-    /// New data folder; must be empty or not exist
-    #[arg(long, default_value = DEFAULT_DATA)]
-    data: PathBuf,
+    #[command(flatten)]
+    data: DataFolder,
 }
 
 /// Arguments of `verify`.
@@ -55,19 +54,22 @@ pub(super) struct HealthArgs {
 
 /// Runs `backup`.
 pub(super) fn back_up(args: BackupArgs) -> anyhow::Result<()> {
-    if !args.data.is_dir() {
-        return Err(BadInput(format!("{}: the data folder does not exist", args.data.display())).into());
+    let data = args.data.path()?;
+    if !data.is_dir() {
+        let remedy = "name it with --data or WANDLESS_DATA";
+        return Err(BadInput(format!("{}: the data folder does not exist; {remedy}", data.display())).into());
     }
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let files = runtime.block_on(safety::back_up(&args.data, &args.to))?;
+    let files = runtime.block_on(safety::back_up(&data, &args.to))?;
     println!("{}: {files} files", args.to.display());
     Ok(())
 }
 
 /// Runs `restore`.
 pub(super) fn restore(args: RestoreArgs) -> anyhow::Result<()> {
-    let files = safety::restore(&args.from, &args.data)?;
-    println!("{}: {files} files; start the service with --data {0}", args.data.display());
+    let data = args.data.path()?;
+    let files = safety::restore(&args.from, &data)?;
+    println!("{}: {files} files; start the service with --data {0}", data.display());
     Ok(())
 }
 

@@ -289,6 +289,29 @@ fn restored_backup_of_a_busy_service_continues() {
 }
 
 #[test]
+fn commands_beside_a_service_read_its_data_folder() {
+    let place = tempfile::tempdir().unwrap();
+    let data = place.path().join("data");
+    std::fs::write(place.path().join("wandless.toml"), format!("data = {:?}\n", data.to_str().unwrap())).unwrap();
+    let run = |words: &[&str], data: Option<&Path>| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_wandless"));
+        let output = command.current_dir(place.path()).args(words).envs(data.map(|data| ("WANDLESS_DATA", data)));
+        let output = output.output().unwrap();
+        assert!(output.status.success(), "{words:?}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    run(&["body", "export", "--out", "body.npz"], None);
+    run(&["body", "add", "studio", "body.npz"], Some(&data));
+    let listed = [
+        run(&["body", "list"], Some(&data)),
+        run(&["body", "list", "--config", "wandless.toml"], None),
+        run(&["body", "list", "--data", "data"], Some(Path::new("elsewhere"))),
+    ];
+    assert!(listed.iter().all(|bodies| bodies.starts_with("studio: ")), "{listed:?}");
+    assert!(!place.path().join("wandless-data").exists(), "another folder was made");
+}
+
+#[test]
 fn backup_takes_relative_names_and_includes_bodies() {
     if is_of_sqlite_alone("backup") {
         return;
