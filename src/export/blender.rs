@@ -9,7 +9,8 @@
 
 use super::files::{ResultFiles, micro, micro_entries};
 use super::film::{film_lens, world_from_film};
-use super::rig::{person_name, rest_joints};
+use super::names::person_name;
+use super::rig::rest_joints;
 use super::rotation_forms::{quaternion_xyzw, quaternions_xyzw};
 use super::take::{Take, TakeCamera};
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};

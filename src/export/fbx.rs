@@ -23,7 +23,8 @@ mod tests;
 
 use super::files::ResultFiles;
 use super::joint_names::profiles;
-use super::rig::{Rig, person_name};
+use super::names::person_name;
+use super::rig::Rig;
 use super::skin::skin_mesh;
 use super::take::Take;
 use crate::session::recording::UpAxis;

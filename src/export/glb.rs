@@ -13,7 +13,8 @@ mod sticks;
 
 use super::files::{ResultFiles, micro};
 use super::film::{vertical_view, world_from_film};
-use super::rig::{Rig, joint_turn, person_name};
+use super::names::person_name;
+use super::rig::{Rig, joint_turn};
 use super::rotation_forms::{quaternion_xyzw, quaternions_xyzw};
 use super::skin::skin_mesh;
 use super::take::{Take, TakeCamera};

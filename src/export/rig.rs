@@ -7,7 +7,6 @@
 //! `world_from_bone = G_j Q_j` with SMPL's `G_j` ([`crate::body::kinematics`]) and the rest axes `Q_j = body_from_bone`;
 //! local rotations are `Q_parent^T R_j Q_j`.
 
-use super::take::Take;
 use crate::body::hand::{N_FINGER_JOINTS, Side, finger_joint_name, finger_parent};
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS, chain_to_root};
 use crate::geometry::rotation::any_perpendicular;
@@ -106,20 +105,6 @@ fn finger_offsets(motion: &BodyMotion, hand: &HandMotion, side: Side) -> [Vector
         }
     }
     offsets.map(|sum| sum / motion.frames.len().max(1) as f64)
-}
-
-/// Name of a person in scenes, of ASCII letters, digits and `_`: the person's own where a correction gives one.
-pub(super) fn person_name(take: &Take, motion: &BodyMotion) -> String {
-    let plain =
-        |name: &String| -> String { name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect() };
-    let number = motion.person.0;
-    match take.names.get(&motion.person).map(plain) {
-        Some(own) if own.starts_with(|c: char| c.is_ascii_alphabetic()) => {
-            let is_taken = take.names.iter().any(|(other, name)| *other != motion.person && plain(name) == own);
-            if is_taken { format!("{own}_{number}") } else { own }
-        }
-        _ => format!("person_{number}"),
-    }
 }
 
 /// The joint at the tail of a joint's bone; where several meet, the next one of the spine.

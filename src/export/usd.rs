@@ -12,8 +12,8 @@ mod text;
 
 use super::files::ResultFiles;
 use super::film::{film_lens, world_from_film};
-use super::names::{identifiers, quoted};
-use super::rig::{Rig, joint_turn, person_name};
+use super::names::{identifiers, person_name, quoted};
+use super::rig::{Rig, joint_turn};
 use super::rotation_forms::quaternions_xyzw;
 use super::skin::skin_mesh;
 use super::take::{Take, TakeCamera};

@@ -6,7 +6,7 @@ use crate::body::model::Betas;
 use crate::body::skeleton::JOINT_NAMES;
 use crate::body::skinning::skinned;
 use crate::body::{default_body, kinematics};
-use crate::export::rig::person_name;
+use crate::export::names::person_name;
 use crate::export::sample_motion::motion;
 use crate::session::reconstruction::BodyModelId;
 use crate::session::{BodyMotion, FrameIndex, PersonId};
