@@ -1,5 +1,6 @@
 //! Jobs that correct an earlier job.
 
+use crate::http::JSON;
 use crate::server::Server;
 use serde_json::{Value, json};
 
@@ -42,6 +43,26 @@ fn corrected_job_continues_with_the_options_of_the_earlier_one() {
     let fresh = server.wait_for_state(fresh["id"].as_str().unwrap(), "succeeded");
     assert!(fresh["stage_seconds"].as_object().unwrap().contains_key("cameras"));
     assert_eq!(artifact(fresh["id"].as_str().unwrap(), "poses3d.json"), poses);
+}
+
+#[test]
+fn a_correction_is_repeated_after_its_original_was_deleted() {
+    let server = Server::start();
+    let earlier = solved(&server);
+    let id = earlier["id"].as_str().unwrap();
+    let ask = |name: &str| {
+        let corrections = json!([{ "action": "rename", "person": 0, "name": name }]);
+        let body = json!({ "corrects": id, "options": { "corrections": corrections } }).to_string();
+        server.post("/v1/jobs", &[JSON, ("idempotency-key", "once")], body.as_bytes())
+    };
+    let job = ask("Ada").expect(202).json();
+    assert_eq!(ask("Ada").expect(202).json()["id"], job["id"]);
+    ask("Bo").expect_problem(422, "idempotency_key_reused");
+    server.delete(&format!("/v1/jobs/{id}")).expect(204);
+    assert_eq!(ask("Ada").expect(202).json()["id"], job["id"]);
+    ask("Bo").expect_problem(404, "not_found");
+    server.delete(&format!("/v1/jobs/{}", job["id"].as_str().unwrap())).expect(204);
+    ask("Ada").expect_problem(409, "job_deleted");
 }
 
 #[test]

@@ -9,8 +9,8 @@ use super::jobs::{JobDocument, answer};
 use super::options;
 use super::upload::{MediaType, keep, receive_form, unless_refused};
 use crate::pipeline::{CameraFacts, Options};
-use crate::service::queue::job::Submitter;
-use crate::service::queue::{EnqueueError, IdempotencyKey, NewJob, QueueLimits};
+use crate::service::queue::job::{Job, Submitter};
+use crate::service::queue::{EnqueueError, IdempotencyKey, NewJob, QueueLimits, fingerprint_as_sent};
 use crate::service::store::Tenant;
 use crate::service::store::sessions::{self, AddError, SessionSummary, StoredSession};
 use crate::service::webhooks;
@@ -56,6 +56,17 @@ struct NewJobBody {
     #[schema(minimum = -1000, maximum = 1000, default = 0)]
     priority: i64,
     webhook: Option<Webhook>,
+}
+
+impl NewJobBody {
+    /// What separates a request that corrects a job from others under the same Idempotency-Key; `None` for other requests, which
+    /// state all of what they mean.
+    fn fingerprint_as_sent(&self) -> Option<String> {
+        let Self { session, corrects, options, labels, priority, webhook } = self;
+        let corrects = corrects.as_ref()?;
+        let webhook = webhook.as_ref().map(|webhook| &webhook.url);
+        Some(fingerprint_as_sent(&json!([corrects, session, options, labels, priority, webhook])))
+    }
 }
 
 fn labels_schema() -> Object {
@@ -123,8 +134,19 @@ pub(super) async fn create(
     body: Body,
 ) -> Result<Response, Problem> {
     let key = idempotency_key(&headers)?;
+    let mut as_sent = None;
     let (asked, session) = match MediaType::of(&headers) {
-        Some(MediaType::Json) => of_stored_session(&app, &tenant, &headers, body, key.as_deref()).await?,
+        Some(MediaType::Json) => {
+            let asked = read_document(&app, &headers, body).await?;
+            as_sent = asked.fingerprint_as_sent();
+            // Before the corrected job is looked up: a repetition is answered after that job was deleted, too.
+            if let (Some(key), Some(as_sent)) = (&key, &as_sent)
+                && let Some(job) = app.queue.job_of_request(&tenant, key, as_sent).await?
+            {
+                return Ok(accepted(job));
+            }
+            of_stored_session(&app, &tenant, asked, key.as_deref()).await?
+        }
         Some(MediaType::Multipart) => of_uploaded_session(&app, &tenant, &headers, body).await?,
         _ => return Err(Problem::unsupported_media_type("application/json or multipart/form-data")),
     };
@@ -137,12 +159,15 @@ pub(super) async fn create(
     let options = serde_json::to_value(&parsed).map_err(Problem::internal)?;
     let (labels, priority) = (asked.labels, asked.priority);
     let new = NewJob { tenant, session: session.id, options, labels, priority, webhook, submitter };
-    let key = key.map(|key| IdempotencyKey { key, fingerprint: new.fingerprint(&session.sha256) });
+    let key = key.map(|key| IdempotencyKey { key, fingerprint: new.fingerprint(&session.sha256), as_sent });
     let limits = QueueLimits::of(&app.settings.limits, &app.settings.tenants);
-    let job = app.queue.enqueue(&new, key.as_ref(), limits).await?;
+    Ok(accepted(app.queue.enqueue(&new, key.as_ref(), limits).await?))
+}
+
+fn accepted(job: Job) -> Response {
     tracing::Span::current().record("job.id", job.id.as_str());
     let location = [(header::LOCATION, format!("/v1/jobs/{}", job.id))];
-    Ok((StatusCode::ACCEPTED, location, answer(job)).into_response())
+    (StatusCode::ACCEPTED, location, answer(job)).into_response()
 }
 
 /// The session of a request.
@@ -160,22 +185,24 @@ impl AskedSession {
     }
 }
 
-async fn of_stored_session(
-    app: &App,
-    tenant: &Tenant,
-    headers: &HeaderMap,
-    body: Body,
-    key: Option<&str>,
-) -> Result<(NewJobBody, AskedSession), Problem> {
+async fn read_document(app: &App, headers: &HeaderMap, body: Body) -> Result<NewJobBody, Problem> {
     let limits = &app.settings.limits;
     let body = unless_refused(GuardedBody::new(headers, body, limits, limits.max_json_bytes)).await?;
     let text = unless_refused(body.read_all().await).await?;
-    let mut asked: NewJobBody = serde_json::from_slice(&text).map_err(|error| {
+    serde_json::from_slice(&text).map_err(|error| {
         Problem::malformed(
             format!("the body: {error}"),
             "send {\"session\": \"<id>\", \"options\"?: {…}, \"labels\"?: {…}, \"priority\"?: 0}",
         )
-    })?;
+    })
+}
+
+async fn of_stored_session(
+    app: &App,
+    tenant: &Tenant,
+    mut asked: NewJobBody,
+    key: Option<&str>,
+) -> Result<(NewJobBody, AskedSession), Problem> {
     let id = take_over_corrected(app, tenant, &mut asked).await?;
     if let Some(session) = sessions::get(&app.store, tenant, &id).await? {
         return Ok((asked, AskedSession::stored(session)));

@@ -51,6 +51,15 @@ pub struct IdempotencyKey {
     pub key: String,
     /// [`NewJob::fingerprint`].
     pub fingerprint: String,
+    /// [`fingerprint_as_sent`](super::fingerprint_as_sent) of a request whose meaning depends on another job; it is stored in place
+    /// of the other one.
+    pub as_sent: Option<String>,
+}
+
+impl IdempotencyKey {
+    fn is_of(&self, stored: &str) -> bool {
+        stored == self.fingerprint || self.as_sent.as_deref() == Some(stored)
+    }
 }
 
 /// Upper bounds on the queue and on the stored bytes of the tenant.
@@ -174,6 +183,20 @@ impl Queue {
         Ok(sha256.fetch_optional(self.store.read()).await?.flatten())
     }
 
+    /// Returns the job that a request with this [`fingerprint_as_sent`](super::fingerprint_as_sent) has made under this key.
+    ///
+    /// # Errors
+    /// [`EnqueueError::JobDeleted`] if that job was deleted, or when the store fails.
+    pub async fn job_of_request(&self, tenant: &Tenant, key: &str, as_sent: &str) -> Result<Option<Job>, EnqueueError> {
+        if fault("key.ignored") {
+            return Ok(None);
+        }
+        let job = "SELECT job_id FROM idempotency WHERE tenant = $1 AND key = $2 AND fingerprint = $3";
+        let job = sqlx::query_scalar::<_, String>(job).bind(tenant.name()).bind(key).bind(as_sent);
+        let Some(job) = job.fetch_optional(self.store.read()).await? else { return Ok(None) };
+        Ok(Some(self.get(tenant, &job).await?.ok_or(EnqueueError::JobDeleted)?))
+    }
+
     /// Forgets the keys of deleted jobs that were first used more than `days` ago. Returns their number.
     ///
     /// # Errors
@@ -208,7 +231,7 @@ async fn take_key(
     )
     .bind(new.tenant.name())
     .bind(&key.key)
-    .bind(&key.fingerprint)
+    .bind(key.as_sent.as_ref().unwrap_or(&key.fingerprint))
     .bind(job)
     .bind(&new.session)
     .execute(&mut **transaction)
@@ -227,10 +250,10 @@ async fn job_of_key(
     let row: (String, String, Option<String>) =
         row.bind(tenant.name()).bind(&key.key).fetch_one(&mut **transaction).await?;
     let (fingerprint, job, session) = row;
-    if fingerprint == key.fingerprint {
+    if key.is_of(&fingerprint) {
         return Ok(job);
     }
-    // The fingerprint may be that of an older release; the stored job shows what was asked.
+    // The fingerprint may be that of an older release, or of a request that was sent in another form; the stored job shows what was asked.
     let of_job = fingerprint_of_job(transaction, &job, session.as_deref().unwrap_or_default()).await?;
     if of_job.as_ref() == Some(&key.fingerprint) { Ok(job) } else { Err(EnqueueError::KeyReused) }
 }

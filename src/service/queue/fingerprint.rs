@@ -24,6 +24,11 @@ impl Request<'_> {
     }
 }
 
+/// SHA-256 of a request as it was sent, of one whose meaning depends on another job: it still is known when that job was deleted.
+pub fn fingerprint_as_sent(request: &Value) -> String {
+    hex::encode(Sha256::digest(json!(["as sent", request]).to_string().as_bytes()))
+}
+
 /// The options that are not at their defaults.
 fn stated(options: &Value) -> Map<String, Value> {
     let defaults = serde_json::to_value(Options::default()).unwrap_or_default();

@@ -40,6 +40,7 @@ mod tests;
 pub use claim::{Claim, ClaimStatus};
 pub use enqueue::{EnqueueError, IdempotencyKey, NewJob, QueueLimits};
 pub use exports::Extension;
+pub use fingerprint::fingerprint_as_sent;
 pub use finish::{Finished, Published};
 pub use follow::Following;
 pub use handle::{Cancel, JobFilter, LabelFilter, LogLine, Queue};

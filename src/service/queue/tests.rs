@@ -248,7 +248,8 @@ async fn database_rejects_leaving_a_final_state() {
 #[tokio::test]
 async fn an_idempotency_key_is_one_job_forever() {
     let test = TestQueue::new().await;
-    let key = |fingerprint: &str| IdempotencyKey { key: "k".to_owned(), fingerprint: fingerprint.to_owned() };
+    let key =
+        |fingerprint: &str| IdempotencyKey { key: "k".to_owned(), fingerprint: fingerprint.to_owned(), as_sent: None };
     let first = test.queue.enqueue(&new_job(0), Some(&key("f")), LIMITS).await.unwrap();
     let again = test.queue.enqueue(&new_job(0), Some(&key("f")), LIMITS).await.unwrap();
     assert_eq!(first.id, again.id);
@@ -262,9 +263,10 @@ async fn an_idempotency_key_is_one_job_forever() {
 #[tokio::test]
 async fn a_key_of_an_older_release_knows_its_request() {
     let test = TestQueue::new().await;
-    let older = IdempotencyKey { key: "k".to_owned(), fingerprint: "of all options of that release".to_owned() };
+    let older =
+        IdempotencyKey { key: "k".to_owned(), fingerprint: "of all options of that release".to_owned(), as_sent: None };
     let job = test.queue.enqueue(&new_job(0), Some(&older), LIMITS).await.unwrap();
-    let key = |new: &NewJob| IdempotencyKey { key: "k".to_owned(), fingerprint: new.fingerprint("00") };
+    let key = |new: &NewJob| IdempotencyKey { key: "k".to_owned(), fingerprint: new.fingerprint("00"), as_sent: None };
     let same = new_job(0);
     assert_eq!(test.queue.enqueue(&same, Some(&key(&same)), LIMITS).await.unwrap().id, job.id);
     let options = serde_json::json!({ "people": 3 });
@@ -337,7 +339,7 @@ async fn a_nearly_full_disk_stops_claims_and_submissions() {
 #[tokio::test]
 async fn a_used_up_quota_rejects_jobs_but_not_repetitions() {
     let test = TestQueue::new().await;
-    let key = IdempotencyKey { key: "k".to_owned(), fingerprint: "f".to_owned() };
+    let key = IdempotencyKey { key: "k".to_owned(), fingerprint: "f".to_owned(), as_sent: None };
     let accepted = test.queue.enqueue(&new_job(0), Some(&key), LIMITS).await.unwrap();
     let used_up = QueueLimits { max_bytes: 5, ..LIMITS };
     let refused = test.queue.enqueue(&new_job(0), None, used_up).await;
@@ -350,7 +352,7 @@ async fn a_used_up_quota_rejects_jobs_but_not_repetitions() {
 #[tokio::test]
 async fn a_key_remembers_its_session_until_it_is_forgotten() {
     let test = TestQueue::new().await;
-    let key = IdempotencyKey { key: "k".to_owned(), fingerprint: "f".to_owned() };
+    let key = IdempotencyKey { key: "k".to_owned(), fingerprint: "f".to_owned(), as_sent: None };
     let id = test.queue.enqueue(&new_job(0), Some(&key), LIMITS).await.unwrap().id;
     test.queue.cancel(&tenant(), &id).await.unwrap();
     sessions::remove(&test.queue.store, &tenant(), "s").await.unwrap();

@@ -158,7 +158,7 @@ async fn a_claim_without_an_answer_heals_without_a_restart() {
 #[tokio::test(flavor = "multi_thread")]
 async fn simultaneous_requests_with_one_key_are_one_job() {
     let test = TestQueue::new().await;
-    let key = IdempotencyKey { key: "k".to_owned(), fingerprint: "f".to_owned() };
+    let key = IdempotencyKey { key: "k".to_owned(), fingerprint: "f".to_owned(), as_sent: None };
     let new = new_job(0);
     let requests = (0..8).map(|_| test.queue.enqueue(&new, Some(&key), LIMITS));
     let jobs = futures_util::future::join_all(requests).await;
@@ -171,7 +171,7 @@ async fn simultaneous_requests_with_one_key_are_one_job() {
 #[tokio::test]
 async fn a_refused_request_does_not_use_up_its_key() {
     let test = TestQueue::new().await;
-    let key = IdempotencyKey { key: "k".to_owned(), fingerprint: "f".to_owned() };
+    let key = IdempotencyKey { key: "k".to_owned(), fingerprint: "f".to_owned(), as_sent: None };
     let full = test.queue.enqueue(&new_job(0), Some(&key), QueueLimits { total: 0, ..LIMITS }).await;
     assert!(matches!(full, Err(EnqueueError::Full { waiting: 0 })));
     test.queue.enqueue(&new_job(0), Some(&key), LIMITS).await.unwrap();
