@@ -80,7 +80,7 @@ def add_camera(camera, turn, collection):
 def add_people(take, collection):
     """Armatures with skinned meshes, from the result's glTF scene."""
     before = {kind: set(getattr(bpy.data, kind)) for kind in ("objects", "actions", "cameras")}
-    bpy.ops.import_scene.gltf(filepath=str(take.scene))
+    frames_per_key = import_people(take)
     new = {kind: [thing for thing in getattr(bpy.data, kind) if thing not in known] for kind, known in before.items()}
     # glTF cameras have no principal point: those of the take replace them.
     roots = [thing for thing in new["objects"] if thing.type == "CAMERA" or is_empty_parent(thing)]
@@ -89,10 +89,26 @@ def add_people(take, collection):
     for lens in new["cameras"]:
         bpy.data.cameras.remove(lens)
     for action in new["actions"]:
-        shift(action, take.frame_range[0])
+        to_frames(action, frames_per_key, take.frame_range[0])
     for thing in bpy.data.objects:
         if thing not in before["objects"]:
             move_to(thing, collection)
+
+
+def import_people(take):
+    """Imports the scene; returns the frames of the take per frame of its keys.
+
+    Blender multiplies the times of keys by `fps * fps_base`, not by the rate `fps / fps_base`: at 29.97 frames per second, keys
+    would be two frames late after a thousand.
+    """
+    render = bpy.context.scene.render
+    fps, base = render.fps, render.fps_base
+    render.fps_base = 1.0
+    try:
+        bpy.ops.import_scene.gltf(filepath=str(take.scene))
+    finally:
+        render.fps, render.fps_base = fps, base
+    return take.fps / fps
 
 
 def is_empty_parent(thing):
@@ -114,15 +130,16 @@ def curves(action):
     return [curve for strip in strips for bag in strip.channelbags for curve in bag.fcurves]
 
 
-def shift(action, frames):
-    """Moves an action, which begins at frame 0, in time."""
-    if frames == 0:
-        return
+def to_frames(action, frames_per_key, first):
+    """Puts the keys of an action, which begins at 0, on the frames of the take, which begins at `first`."""
     for curve in curves(action):
         for key in curve.keyframe_points:
-            key.co.x += frames
-            key.handle_left.x += frames
-            key.handle_right.x += frames
+            before = key.co.x
+            after = round(before * frames_per_key) + first  # times in the file have single precision
+            left, right = key.handle_left.x, key.handle_right.x
+            key.co.x = after
+            key.handle_left.x = after + (left - before) * frames_per_key
+            key.handle_right.x = after + (right - before) * frames_per_key
         curve.update()
 
 
