@@ -12,6 +12,7 @@ import argparse
 import json
 import os
 import queue
+import shutil
 import sys
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -114,9 +115,16 @@ class Publisher:
         self.client.export(name, ["glb"])
         folder = self.folder / name
         if not folder.exists():
-            self.client.download(name, folder)
+            self.download(name, folder)
         self.publish(job, folder, json.loads((folder / "report.json").read_text()))
         print(f"{name}: published", flush=True)
+
+    def download(self, name, folder):
+        """Gives the folder its name when it is complete: what a failed download leaves must not be published."""
+        part = folder.with_name(name + ".part")
+        shutil.rmtree(part, ignore_errors=True)
+        self.client.download(name, part)
+        part.rename(folder)
 
 
 def handler_of(publisher, secret):

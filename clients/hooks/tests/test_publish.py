@@ -192,3 +192,34 @@ def test_unsigned_calls_are_refused(receiver):
     assert httpx.post(url, json=event, headers=headers).status_code == 401
     assert httpx.post(url, json=event).status_code == 401
     assert "job_1" not in log()
+
+
+def test_failed_download_is_not_published_as_complete(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(HERE.parent))
+    import publish
+
+    class Client:
+        fails = True
+
+        def job(self, name):
+            return {"id": name, "labels": {"kitsu_task": TASK}}
+
+        def export(self, name, formats):
+            pass
+
+        def download(self, name, folder):
+            Path(folder).mkdir()  # fails where an earlier download has left files
+            (Path(folder) / "report.json").write_text("{}")
+            if self.fails:
+                raise OSError("the connection broke")
+
+    client, published = Client(), []
+    publisher = publish.Publisher(client, "kitsu", tmp_path)
+    publisher.publish = lambda job, folder, report: published.append(folder)
+    for _ in range(2):
+        with pytest.raises(OSError):
+            publisher.publish_job("job_1")
+    assert published == [] and not (tmp_path / "job_1").exists()
+    client.fails = False
+    publisher.publish_job("job_1")
+    assert published == [tmp_path / "job_1"] and [path.name for path in tmp_path.iterdir()] == ["job_1"]
