@@ -107,8 +107,8 @@ pub async fn start(settings: Settings) -> Result<Running, ServeError> {
     if fault("start.slow") {
         tokio::time::sleep(std::time::Duration::from_secs(3)).await;
     }
-    let networks = Arc::new(Networks::parse(&settings.webhooks.allowed_networks)?);
-    let proxies = Arc::new(Networks::parse(&settings.limits.trusted_proxies)?);
+    let networks = Arc::new(Networks::parse("webhooks.allowed_networks", &settings.webhooks.allowed_networks)?);
+    let proxies = Arc::new(Networks::parse("limits.trusted_proxies", &settings.limits.trusted_proxies)?);
     let store = Store::open_for(&settings).await?.with_min_free_bytes(settings.limits.min_free_bytes);
     if !listen.ip().is_loopback() && !store::keys::any(&store).await? {
         return Err(ServeError::NotLoopback { listen });

@@ -231,7 +231,7 @@ mod tests {
 
     #[test]
     fn only_trusted_proxies_name_the_client() {
-        let proxies = Networks::parse(&["10.0.0.0/8".to_owned(), "::1".to_owned()]).unwrap();
+        let proxies = Networks::parse("list", &["10.0.0.0/8".to_owned(), "::1".to_owned()]).unwrap();
         let of = |peer: &str, forwarded: &[&'static str]| {
             let mut headers = HeaderMap::new();
             for line in forwarded {

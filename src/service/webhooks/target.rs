@@ -20,8 +20,10 @@ struct Network {
 
 /// A text that is not a network.
 #[derive(Debug, thiserror::Error)]
-#[error("webhooks.allowed_networks: {text:?} is neither an address nor a network such as 10.1.0.0/16")]
+#[error("{setting}: {text:?} is neither an address nor a network such as 10.1.0.0/16")]
 pub struct NetworkError {
+    /// Name of the setting.
+    pub setting: &'static str,
     /// The given text.
     pub text: String,
 }
@@ -110,12 +112,13 @@ fn check_host(host: &str, allowed: &Networks) -> Result<(), TargetError> {
 }
 
 impl Networks {
-    /// Parses the operator's list.
+    /// Parses the operator's list, the value of `setting`.
     ///
     /// # Errors
     /// [`NetworkError`] for the first invalid entry.
-    pub fn parse(texts: &[String]) -> Result<Self, NetworkError> {
-        texts.iter().map(|text| Network::parse(text).ok_or_else(|| NetworkError { text: text.clone() })).collect()
+    pub fn parse(setting: &'static str, texts: &[String]) -> Result<Self, NetworkError> {
+        let error = |text: &String| NetworkError { setting, text: text.clone() };
+        texts.iter().map(|text| Network::parse(text).ok_or_else(|| error(text))).collect()
     }
 
     /// Checks whether an address may be called.
@@ -218,7 +221,7 @@ mod tests {
 
     fn check(url: &str, allowed: &[&str]) -> Result<(), TargetError> {
         let allowed: Vec<String> = allowed.iter().map(|text| (*text).to_owned()).collect();
-        check_url(url, &Networks::parse(&allowed).unwrap())
+        check_url(url, &Networks::parse("list", &allowed).unwrap())
     }
 
     #[test]
@@ -274,7 +277,8 @@ mod tests {
             assert!(check(url, &listed).is_err(), "{url}");
         }
         for text in ["10.0.0.0/33", "x", "10.0.0/8", "10.0.0.0/-1"] {
-            assert!(Networks::parse(&[text.to_owned()]).is_err(), "{text}");
+            let error = Networks::parse("limits.trusted_proxies", &[text.to_owned()]).unwrap_err().to_string();
+            assert!(error.starts_with("limits.trusted_proxies: "), "another setting is named: {error}");
         }
     }
 
