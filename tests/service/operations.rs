@@ -138,6 +138,7 @@ fn event_stream_ends_with_the_job() {
         .map(|event| serde_json::from_str(event.lines().find_map(|line| line.strip_prefix("data: ")).unwrap()).unwrap())
         .collect();
     assert_eq!(states.last().unwrap()["state"], "succeeded");
+    assert!(text.starts_with("event: state"), "a client learns of the job before its progress: {text}");
     assert!(text.contains("event: progress") && text.contains("id: "), "{text}");
     server.get("/v1/jobs/job_0/events").expect_problem(404, "not_found");
 }

@@ -1,8 +1,9 @@
 //! `GET /v1/jobs/{id}/events`: the progress of a job as server-sent events.
 //!
-//! `state` holds the whole job and is sent first, at every change of state, and last; `progress` holds the progress, `log` one
-//! line of the job's process, `scene` the stage after which there is a new provisional scene. The id of an event is the version of the job: a client that reconnects with `Last-Event-ID`
-//! receives the state again only if it has changed.
+//! `state` holds the whole job and is sent first, at every change of state, and last, that of an ended job last alone; `progress`
+//! holds the progress, `log` one line of the job's process, `scene` the stage after which there is a new provisional scene. The id
+//! of an event is the version of the job: a client that reconnects with `Last-Event-ID` receives the state again only if it has
+//! changed.
 
 use super::access::{Caller, Credential};
 use super::app::App;
@@ -136,6 +137,11 @@ impl Follower {
     /// Queues the events for what differs from the last sent version.
     fn note(&mut self, job: Job) {
         let (phase, version) = (job.state.phase(), Some(job.version));
+        let state = (self.phase != Some(phase)).then(|| JobDocument::of(job.clone()));
+        self.phase = Some(phase);
+        // The state comes first, so that a client knows the job before its progress; the final one ends the stream.
+        let (first, last) = if phase.is_final() { (None, state) } else { (state, None) };
+        self.waiting.extend(first.and_then(|state| event("state", version, &state)));
         if self.progress != job.progress {
             self.progress = job.progress.clone();
             self.waiting.extend(event("progress", version, &job.progress));
@@ -146,10 +152,7 @@ impl Follower {
             self.scene = Some(scene.sha256.clone());
             self.waiting.extend(event("scene", None, &serde_json::json!({ "stage": scene.stage })));
         }
-        if self.phase != Some(phase) {
-            self.phase = Some(phase);
-            self.waiting.extend(event("state", version, &JobDocument::of(job)));
-        }
+        self.waiting.extend(last.and_then(|state| event("state", version, &state)));
         self.is_at_end = phase.is_final();
     }
 }
