@@ -126,6 +126,19 @@ fn easymocap_joints_match_the_result() {
                 }
             }
         }
+        let points = written.json("keypoints3d.json");
+        for (frame, people) in points["frames"].as_object().unwrap() {
+            let theirs = written.json(&format!("easymocap/keypoints3d/{:06}.json", frame.parse::<i64>().unwrap()));
+            assert_eq!(theirs.as_array().unwrap().len(), people.as_object().unwrap().len());
+            for theirs in theirs.as_array().unwrap() {
+                let ours = people[&theirs["id"].to_string()].as_array().unwrap();
+                assert_eq!(theirs["keypoints3d"].as_array().unwrap().len(), ours.len());
+                for (ours, theirs) in ours.iter().zip(theirs["keypoints3d"].as_array().unwrap()) {
+                    let expected = if ours.is_null() { vec![0.0; 4] } else { [numbers(ours), vec![1.0]].concat() };
+                    assert_eq!(numbers(theirs), expected, "frame {frame}");
+                }
+            }
+        }
         let absent = written.json("easymocap/smpl/000139.json");
         assert_eq!(absent.as_array().unwrap().len(), 1, "the second person has left");
     }
