@@ -166,8 +166,18 @@ pub(super) async fn keep(app: &App, tenant: &Tenant, received: Received) -> Resu
     let _turn = app.validations.acquire().await.map_err(Problem::internal)?; // each may take its whole memory limit
     let read = validation::validate(&app.settings, &spooled.file.path).await?;
     let summary = SessionSummary { sha256: spooled.sha256.clone(), bytes: spooled.bytes, ..read };
-    let (store, tenant, max_bytes) = (app.store.clone(), tenant.clone(), app.settings.tenants.max_bytes);
-    // The work outlives its request: a client that leaves must not leave bytes without a row behind.
+    record_unattended(&app.store, tenant, received, summary, app.settings.tenants.max_bytes).await
+}
+
+/// [`record`] in a task that outlives its request: a client that leaves must not leave bytes without a row behind.
+async fn record_unattended(
+    store: &Store,
+    tenant: &Tenant,
+    received: Received,
+    summary: SessionSummary,
+    max_bytes: i64,
+) -> Result<Added, Problem> {
+    let (store, tenant) = (store.clone(), tenant.clone());
     let recorded = async move { record(&store, &tenant, received, &summary, max_bytes).await };
     tokio::spawn(recorded.in_current_span()).await.map_err(Problem::internal)?
 }
@@ -231,5 +241,34 @@ impl From<ValidationError> for Problem {
             ValidationError::MemoryShort => Self::unavailable("memory_short", detail),
             ValidationError::Failed(error) => Self::internal(format!("{error:#}")),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::service::store::test_support;
+    use std::time::{Duration, Instant};
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn an_upload_whose_client_leaves_gets_its_row() {
+        let folder = tempfile::tempdir().unwrap();
+        let (store, tenant) = (test_support::open(folder.path()).await, Tenant::default_tenant());
+        let summary = test_support::summary();
+        let mut spool = Spool::create(store.folders.temporary()).await.unwrap();
+        spool.write(b"bytes").await.unwrap();
+        let reservation = store.reserve(&tenant, i64::MAX, 0, true).await.unwrap();
+        let received = Received { spooled: spool.finish().await.unwrap(), reservation };
+        let sha256 = summary.sha256.clone();
+        let request = record_unattended(&store, &tenant, received, summary, i64::MAX);
+        // The first poll starts the work, and the request is dropped before its end.
+        let answered = tokio::time::timeout(Duration::ZERO, request).await;
+        let deadline = Instant::now() + Duration::from_secs(20);
+        while sessions::get_by_sha256(&store, &tenant, &sha256).await.unwrap().is_none() {
+            assert!(Instant::now() < deadline, "bytes without a row: {:?}", store.folders.names("sessions"));
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        assert!(answered.is_err() || answered.is_ok_and(|added| added.is_ok()));
+        assert_eq!(store.folders.names("sessions").unwrap().len(), 1);
     }
 }
