@@ -116,6 +116,8 @@ pub enum ExportFormat {
     Usd,
     Trc,
     C3d,
+    // One format writes both files, which have names of their own in the contract.
+    #[serde(alias = "mot", alias = "angles_csv")]
     JointAngles,
     OpencvYaml,
     CalibToml,

@@ -56,6 +56,10 @@ fn a_correction_is_repeated_after_its_original_was_deleted() {
         server.post("/v1/jobs", &[JSON, ("idempotency-key", "once")], body.as_bytes())
     };
     let job = ask("Ada").expect(202).json();
+    // The contract's names for the same request.
+    let named = json!({ "from_job": id, "corrections": [{ "action": "rename", "person": 0, "name": "Ada" }] });
+    let named = server.post("/v1/jobs", &[JSON, ("idempotency-key", "once")], named.to_string().as_bytes());
+    assert_eq!(named.expect(202).json()["id"], job["id"]);
     assert_eq!(ask("Ada").expect(202).json()["id"], job["id"]);
     ask("Bo").expect_problem(422, "idempotency_key_reused");
     server.delete(&format!("/v1/jobs/{id}")).expect(204);
@@ -79,6 +83,9 @@ fn corrections_that_cannot_be_applied_are_explained() {
     let other = json!({ "corrects": id, "options": { "people": 1 } });
     server.post_json("/v1/jobs", &other).expect_problem(422, "option_impossible");
     server.post_json("/v1/jobs", &json!({ "options": {} })).expect_problem(400, "malformed");
+    let twice = json!({ "from_job": id, "corrections": [], "options": { "corrections": [] } });
+    let problem = server.post_json("/v1/jobs", &twice).expect_problem(400, "malformed");
+    assert_eq!(problem["pointer"], "/corrections");
     let unknown = corrected(&server, id, &json!([{ "action": "exclude_person", "person": 9 }])).expect(202).json();
     let failed = server.wait_for_state(unknown["id"].as_str().unwrap(), "failed");
     assert_eq!(failed["error"]["code"], "option_impossible");

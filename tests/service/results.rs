@@ -145,10 +145,14 @@ fn exports_are_added_once_and_survive_a_restart() {
     };
     let before = server.get(&format!("/v1/jobs/{id}/result")).expect(200).json();
     let path = format!("/v1/jobs/{id}/exports");
-    let added = server.post_json(&path, &json!({ "exports": ["glb", "bvh", "glb"] })).expect(200);
+    let added = server.post_json(&path, &json!({ "exports": ["glb", "bvh", "mot", "angles_csv", "glb"] })).expect(200);
     let after = added.json();
     assert!(names(&before).iter().all(|name| names(&after).contains(name)));
     assert_eq!(names(&after).iter().filter(|name| *name == "scene.glb").count(), 1);
+    assert!(
+        ["0.angles.csv", "0.mot"].iter().all(|file| names(&after).contains(&(*file).to_owned())),
+        "the contract's names"
+    );
     let again = server.post_json(&path, &json!({ "exports": ["bvh"] })).expect(200);
     assert_eq!(added.header("etag"), again.header("etag"));
     let scene = server.get(&format!("/v1/jobs/{id}/artifacts/scene.glb")).expect(200).body;

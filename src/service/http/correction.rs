@@ -27,10 +27,7 @@ pub(super) fn with_options_of(earlier: &Job, given: Option<Value>) -> Result<Opt
     match given {
         None | Some(Value::Null) => {}
         Some(Value::Object(given)) => given.into_iter().for_each(|(name, value)| merged[name] = value),
-        Some(_) => {
-            let remedy = "send {\"corrections\": […]}";
-            return Err(Problem::malformed("options is not a JSON object", remedy).at("/options"));
-        }
+        Some(_) => return Err(not_an_object()),
     }
     let [before, after] = [earlier.options.clone(), merged.clone()].map(|all| options::parse(Some(all)));
     match changed_option(&before?.without_corrections(), &after?.without_corrections()) {
@@ -42,6 +39,10 @@ pub(super) fn with_options_of(earlier: &Job, given: Option<Value>) -> Result<Opt
             Err(problem.at(format!("/options/{name}")))
         }
     }
+}
+
+pub(super) fn not_an_object() -> Problem {
+    Problem::malformed("options is not a JSON object", "send {\"corrections\": […]}").at("/options")
 }
 
 /// The first option that differs.

@@ -3,11 +3,12 @@
 use super::access::Caller;
 use super::app::App;
 use super::body::GuardedBody;
-use super::correction::{corrected_job, with_options_of};
+use super::correction::{corrected_job, not_an_object, with_options_of};
 use super::error::Problem;
 use super::jobs::{JobDocument, answer};
 use super::options;
 use super::upload::{MediaType, keep, receive_form, unless_refused};
+use crate::pipeline::corrections::Correction;
 use crate::pipeline::{CameraFacts, Options};
 use crate::service::queue::job::{Job, Submitter};
 use crate::service::queue::{EnqueueError, IdempotencyKey, NewJob, QueueLimits, fingerprint_as_sent};
@@ -44,8 +45,12 @@ struct NewJobBody {
     session: Option<String>,
     /// Id of a succeeded job whose people `options.corrections` correct. Its session and options are taken over, as far as the
     /// request does not state others, and the new job continues from what the corrections leave valid.
+    #[serde(alias = "from_job")]
     #[schema(nullable = false)]
     corrects: Option<String>,
+    /// The same as `options.corrections`.
+    #[schema(value_type = Option<Vec<Correction>>, nullable = false)]
+    corrections: Option<Value>,
     #[schema(value_type = Option<Options>)]
     options: Option<Value>,
     #[serde(default)]
@@ -62,10 +67,23 @@ impl NewJobBody {
     /// What separates a request that corrects a job from others under the same Idempotency-Key; `None` for other requests, which
     /// state all of what they mean.
     fn fingerprint_as_sent(&self) -> Option<String> {
-        let Self { session, corrects, options, labels, priority, webhook } = self;
+        let Self { session, corrects, corrections: _among_options, options, labels, priority, webhook } = self;
         let corrects = corrects.as_ref()?;
         let webhook = webhook.as_ref().map(|webhook| &webhook.url);
         Some(fingerprint_as_sent(&json!([corrects, session, options, labels, priority, webhook])))
+    }
+
+    /// Moves `corrections` to the options.
+    fn with_corrections_among_options(mut self) -> Result<Self, Problem> {
+        let Some(corrections) = self.corrections.take() else { return Ok(self) };
+        let options = self.options.take().filter(|options| !options.is_null()).unwrap_or_else(|| json!({}));
+        let Value::Object(mut options) = options else { return Err(not_an_object()) };
+        if options.insert("corrections".to_owned(), corrections).is_some() {
+            let detail = "`corrections` and `options.corrections` are both stated";
+            return Err(Problem::malformed(detail, "state one of them").at("/corrections"));
+        }
+        self.options = Some(Value::Object(options));
+        Ok(self)
     }
 }
 
@@ -137,7 +155,7 @@ pub(super) async fn create(
     let mut as_sent = None;
     let (asked, session) = match MediaType::of(&headers) {
         Some(MediaType::Json) => {
-            let asked = read_document(&app, &headers, body).await?;
+            let asked = read_document(&app, &headers, body).await?.with_corrections_among_options()?;
             as_sent = asked.fingerprint_as_sent();
             // Before the corrected job is looked up: a repetition is answered after that job was deleted, too.
             if let (Some(key), Some(as_sent)) = (&key, &as_sent)
@@ -248,7 +266,8 @@ async fn of_uploaded_session(
     options::parse(options.clone())?; // before the upload is validated and stored
     let session = keep(app, tenant, received).await?.session;
     let (labels, session_id) = (BTreeMap::new(), Some(session.id.clone()));
-    let asked = NewJobBody { session: session_id, corrects: None, options, labels, priority: 0, webhook: None };
+    let (corrects, corrections, webhook) = (None, None, None);
+    let asked = NewJobBody { session: session_id, corrects, corrections, options, labels, priority: 0, webhook };
     Ok((asked, AskedSession::stored(session)))
 }
 
