@@ -27,6 +27,9 @@ fn job_succeeds() {
     assert_eq!(done["attempt"], 1);
     assert!(matches!(done["quality"]["verdict"].as_str(), Some("pass" | "warn" | "reject")));
     assert!(done["quality"]["reasons"].is_array() && done["error"].is_null());
+    let report = server.get(&format!("/v1/jobs/{id}/report")).expect(200).json();
+    assert!(job["suspicions"] == json!([]) && done["suspicions"].is_array());
+    assert_eq!(done["suspicions"], report["suspicions"]);
     assert!(done["stage_seconds"].as_object().unwrap().values().all(|seconds| seconds.as_f64().unwrap() >= 0.0));
     assert!(!done["stage_seconds"].as_object().unwrap().is_empty());
     let times = ["created_at", "started_at", "finished_at"].map(|key| done[key].as_str().unwrap().to_owned());

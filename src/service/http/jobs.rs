@@ -12,6 +12,7 @@ use crate::service::metrics::Held;
 use crate::service::queue::job::{Job, JobError, JobProgress, JobQuality};
 use crate::service::queue::{Cancel, JobFilter, LabelFilter, Phase};
 use crate::service::store::Tenant;
+use crate::session::Suspicion;
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
@@ -242,6 +243,9 @@ pub(super) struct JobDocument {
     stage_seconds: BTreeMap<String, f64>,
     #[schema(required)]
     quality: Option<JobQuality>,
+    /// Probable mistakes in the files, as in `report.json`; empty before the job has succeeded.
+    #[schema(value_type = Vec<Suspicion>)]
+    suspicions: Vec<Value>,
     #[schema(required)]
     error: Option<JobError>,
     #[schema(required)]
@@ -263,6 +267,7 @@ impl JobDocument {
             state: job.state.phase().name(),
             finished_at: job.state.finished_at().map(str::to_owned),
             quality: job.state.quality().cloned(),
+            suspicions: job.state.suspicions().to_vec(),
             error: job.state.error().cloned(),
             id: job.id,
             session: job.session,

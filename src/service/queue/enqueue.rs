@@ -307,7 +307,7 @@ async fn insert(transaction: &mut WriteTransaction, new: &NewJob, id: String, cl
         "INSERT INTO jobs (id, tenant, session_id, options, labels, priority, webhook, request_id, key_id, class,
                            needs, state, created_at)
          VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, 'queued', strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
-         RETURNING {JOB_COLUMNS}, NULL AS verdict, NULL AS reasons"
+         RETURNING {JOB_COLUMNS}, NULL AS verdict, NULL AS reasons, NULL AS suspicions"
     )))
     .bind(id)
     .bind(new.tenant.name())

@@ -5,7 +5,7 @@ use super::deferral::Deferrals;
 use super::follow::{Followed, Following};
 use super::job::Job;
 use super::phase::Phase;
-use super::rows::{JOB_COLUMNS, job_from_row};
+use super::rows::{JOB_COLUMNS, VERDICT_COLUMNS, job_from_row};
 use super::scenes::{Scene, Scenes};
 use crate::service::failpoint::failpoint;
 use crate::service::store::database::Store;
@@ -87,7 +87,8 @@ pub enum Cancel {
 /// Bytes of text of a job.
 const ROW_BYTES: &str =
     "octet_length(options) + octet_length(labels) + octet_length(message) + octet_length(stage_seconds)
-    + coalesce(octet_length(error), 0) + coalesce(octet_length(reasons), 0)";
+    + coalesce(octet_length(error), 0) + coalesce(octet_length(reasons), 0)
+    + coalesce(octet_length(suspicions), 0)";
 
 /// The statement of a list. `$1` to `$3` are tenant, `seq` and number of rows; the values of the filter follow in its order.
 fn list_statement(filter: &JobFilter, is_shared: bool) -> String {
@@ -116,7 +117,7 @@ fn list_statement(filter: &JobFilter, is_shared: bool) -> String {
         }
     }
     format!(
-        "SELECT {JOB_COLUMNS}, verdict, reasons, {ROW_BYTES} AS row_bytes FROM {tables}
+        "SELECT {JOB_COLUMNS}, {VERDICT_COLUMNS}, {ROW_BYTES} AS row_bytes FROM {tables}
          LEFT JOIN verdicts ON verdicts.job_id = jobs.id WHERE {conditions} ORDER BY {table}.seq DESC LIMIT $3"
     )
 }
@@ -209,7 +210,7 @@ impl Queue {
     /// When the store fails.
     pub async fn get(&self, tenant: &Tenant, id: &str) -> Result<Option<Job>, StoreError> {
         let row = sqlx::query(AssertSqlSafe(format!(
-            "SELECT {JOB_COLUMNS}, verdict, reasons FROM jobs LEFT JOIN verdicts ON verdicts.job_id = jobs.id
+            "SELECT {JOB_COLUMNS}, {VERDICT_COLUMNS} FROM jobs LEFT JOIN verdicts ON verdicts.job_id = jobs.id
              WHERE jobs.id = $1 AND tenant = $2"
         )))
         .bind(id)

@@ -28,6 +28,8 @@ pub enum JobState {
         result_fence: i64,
         /// Verdict on the result.
         quality: JobQuality,
+        /// Probable mistakes in the files, as in `report.json`.
+        suspicions: Vec<serde_json::Value>,
     },
     /// The job cannot be solved.
     Failed {
@@ -88,6 +90,14 @@ impl JobState {
         match self {
             Self::Succeeded { quality, .. } => Some(quality),
             _ => None,
+        }
+    }
+
+    /// Probable mistakes in the files, which are known once the job has succeeded.
+    pub fn suspicions(&self) -> &[serde_json::Value] {
+        match self {
+            Self::Succeeded { suspicions, .. } => suspicions,
+            _ => &[],
         }
     }
 }

@@ -6,11 +6,14 @@ use crate::service::store::error::StoreError;
 use crate::service::store::sql::SqlRow;
 use sqlx::Row;
 
-/// The columns that [`job_from_row`] reads, beside those of `verdicts`. They are named, here and in every statement: a server refuses a
+/// The columns that [`job_from_row`] reads, beside [`VERDICT_COLUMNS`]. They are named, here and in every statement: a server refuses a
 /// prepared `*` once a newer release has added a column.
 pub(super) const JOB_COLUMNS: &str =
     "id, jobs.seq AS seq, version, session_id, options, labels, priority, state, fence, attempt, stage, stage_index, stage_count,
      fraction, message, eta_s, stage_seconds, solver_version, error, result_fence, created_at, started_at, finished_at";
+
+/// The columns of `verdicts` that it reads.
+pub(super) const VERDICT_COLUMNS: &str = "verdict, reasons, suspicions";
 
 /// Converts a row of `jobs` joined with its row of `verdicts`.
 pub(super) fn job_from_row(row: &SqlRow) -> Result<Job, StoreError> {
@@ -57,10 +60,12 @@ fn state_from_row(row: &SqlRow) -> Result<JobState, StoreError> {
         Phase::Succeeded => {
             let result_fence = row.try_get("result_fence")?;
             let reasons = serde_json::from_str(row.try_get("reasons")?)?;
+            let suspicions = serde_json::from_str(row.try_get("suspicions")?)?;
             JobState::Succeeded {
                 finished_at,
                 result_fence,
                 quality: JobQuality { verdict: row.try_get("verdict")?, reasons },
+                suspicions,
             }
         }
         Phase::Failed => JobState::Failed { finished_at, error: error()? },

@@ -27,6 +27,7 @@ pub(super) static SQLITE: LazyLock<Migrator> = LazyLock::new(|| {
         "0011_tenant_counters",
         "0012_storage",
         "0013_classes",
+        "0014_suspicions",
     ))
 });
 
@@ -37,6 +38,7 @@ pub(super) static POSTGRES: LazyLock<Migrator> = LazyLock::new(|| {
         "0001_tables",
         "0002_classes_losses_and_gate",
         "0003_totals_and_late_counters",
+        "0004_suspicions",
     ))
 });
 

@@ -36,6 +36,9 @@ struct ReportFile {
     scale: Option<ScaleReport>,
     rejected_detections: f64,
     quality: Quality,
+    /// Kept as they are: a worker of a newer release writes codes that this one does not know.
+    #[serde(default)]
+    suspicions: Vec<serde_json::Value>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -117,8 +120,9 @@ async fn insert_verdict(transaction: &mut WriteTransaction, job: &str, report: &
     let verdict = serde_json::to_value(report.quality.verdict)?;
     let scale = report.scale.as_ref();
     sqlx::query(
-        "INSERT INTO verdicts (job_id, verdict, reasons, heldout_px, scale, scale_low95, scale_high95, rejected_detections)
-         VALUES ($1, $2, $3, $4, $5, $6, $7, $8)",
+        "INSERT INTO verdicts (job_id, verdict, reasons, heldout_px, scale, scale_low95, scale_high95, rejected_detections,
+             suspicions)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9)",
     )
     .bind(job)
     .bind(verdict.as_str())
@@ -128,6 +132,7 @@ async fn insert_verdict(transaction: &mut WriteTransaction, job: &str, report: &
     .bind(float(scale.map(|scale| scale.interval95[0])))
     .bind(float(scale.map(|scale| scale.interval95[1])))
     .bind(report.rejected_detections)
+    .bind(serde_json::to_string(&report.suspicions)?)
     .execute(&mut **transaction)
     .await?;
     Ok(())

@@ -58,5 +58,6 @@ class Job(TypedDict, total=False):
     progress: Progress
     stage_seconds: dict[str, float]
     quality: Optional[Quality]
+    suspicions: list[dict[str, Any]]
     error: Optional[dict[str, Any]]
     solver_version: Optional[str]
