@@ -487,7 +487,7 @@ fn rejects_implausible_poses_with_location() {
     }
     assert_eq!(code(&normalised).0, "keypoint_invalid");
     let mut damaged = openpose(&COCO17);
-    damaged[10].1 = br#"{"people": [{"pose_keypoints_2d": [NaN, 1, 1]}]}"#.to_vec();
+    damaged[10].1 = br#"{"people": [{"pose_keypoints_2d": [Infinity, 1, 1]}]}"#.to_vec();
     assert_eq!(code(&damaged), ("number_not_finite", Some(damaged[10].0.clone())));
     let mut uncalibrated = openpose(&COCO17);
     uncalibrated.remove(1);
@@ -505,6 +505,44 @@ fn reads_a_64_bit_zip_of_frame_files() {
     }
     assert!(files.len() > usize::from(u16::MAX));
     assert_eq!(read(&files).unwrap().session.n_frames, 22_000);
+}
+
+/// Pose2Sim writes bare NaN for people that it has lost; one of them had rejected the whole recording.
+#[test]
+fn nan_of_pose2sim_rejected_the_whole_recording() {
+    let mut files = openpose(&COCO17);
+    let mut frames = files.iter_mut().filter(|(name, _)| name.contains("cam1_0"));
+    let nan = |n: usize| vec!["NaN"; n].join(", ");
+    let lost = format!(r#"{{"person_id": [-1], "pose_keypoints_2d": [{}]}}"#, nan(51));
+    frames.next().unwrap().1 = format!(r#"{{"version": 1.3, "people": [{lost}, {lost}]}}"#).into_bytes();
+    let halves: Vec<String> = people(0, 1, &COCO17)
+        .iter()
+        .map(|person| {
+            let numbers: Vec<String> = flat(&person[8..]).iter().map(f64::to_string).collect();
+            format!(r#"{{"pose_keypoints_2d": [{}, {}]}}"#, nan(24), numbers.join(", "))
+        })
+        .collect();
+    frames.next().unwrap().1 = format!(r#"{{"people": [{}, {lost}]}}"#, halves.join(", ")).into_bytes();
+    let frames = read(&files).unwrap().session.views[0].frames.clone();
+    assert_eq!((frames[0].len(), frames[1].len(), frames[2].len()), (0, 2, 2));
+    let present: Vec<bool> = frames[1][1].keypoints.iter().map(|keypoint| keypoint.is_present()).collect();
+    assert!(present.iter().enumerate().all(|(k, present)| *present == (k >= 8)), "{present:?}");
+}
+
+#[test]
+fn nan_in_lists_of_people_is_a_missing_point() {
+    for (name, files) in [("alphapose", alphapose(1.0)), ("mmpose", mmpose(true))] {
+        let mut damaged = files;
+        let (_, content) = damaged.iter_mut().find(|(name, _)| name.contains("cam2")).unwrap();
+        let text = String::from_utf8(content.clone()).unwrap();
+        let at = text.find("\"keypoints\":[").unwrap() + 13;
+        let start = at + text[at..].find(|c: char| c.is_ascii_digit()).unwrap();
+        let end = start + text[start..].find(',').unwrap();
+        *content = format!("{}NaN{}", &text[..start], &text[end..]).into_bytes();
+        let session = read(&damaged).unwrap_or_else(|e| panic!("{name}: {e}")).session;
+        let keypoints = &session.views[1].frames[0][0].keypoints;
+        assert!(!keypoints[0].is_present() && keypoints[1].is_present(), "{name}");
+    }
 }
 
 /// MediaPipe's array of two cameras, `[cameras, frames, points, x y]`, little-endian doubles in numpy's layout.

@@ -3,6 +3,7 @@
 use super::hands::with_hands;
 use super::points::Points;
 use super::sniff::PoseDialect;
+use super::tool_json::standard_json;
 use crate::session::recording::{Detection, Keypoint};
 use crate::session::upload::error::{Fault, UploadError};
 use crate::session::upload::json::document_from_bytes;
@@ -24,6 +25,7 @@ pub(crate) struct FrameContent {
 /// # Errors
 /// Invalid content, with its pointer.
 pub(crate) fn read_frame(dialect: PoseDialect, bytes: &[u8]) -> Result<FrameContent, UploadError> {
+    let bytes = &*standard_json(bytes);
     match dialect {
         PoseDialect::AlphaPoseCmu => document_from_bytes(bytes).map(cmu),
         PoseDialect::EasyMocap => document_from_bytes(bytes).map(easymocap),
@@ -151,7 +153,8 @@ impl Instance {
     /// The person with each point's score as its confidence.
     pub(super) fn into_detection(self) -> Result<Detection, UploadError> {
         let (n_points, n_scores) = (self.keypoints.0.len(), self.keypoint_scores.len());
-        if n_scores != 0 && n_scores != n_points {
+        // A person of nothing but NaN has lost its points already.
+        if n_scores != 0 && n_points != 0 && n_scores != n_points {
             return Err(Fault::KeypointCount.with(format!("the person has {n_points} keypoints but {n_scores} scores")));
         }
         let mut keypoints = self.keypoints.0;

@@ -4,6 +4,7 @@ use super::found::FoundPoses;
 use super::frame_files::{Instance, Track};
 use super::frame_name::frame_name;
 use super::points::Points;
+use super::tool_json::ToolJson;
 use crate::session::formats::joints::JointOrder;
 use crate::session::recording::Detection;
 use crate::session::upload::error::{Fault, UploadError, shown};
@@ -66,7 +67,7 @@ fn read_whole(
     target: &mut (impl Fields + Items),
     reading: &mut Reading<'_>,
 ) -> Result<(), UploadError> {
-    let mut stream = JsonStream::new(reader, reading.limits);
+    let mut stream = JsonStream::new(ToolJson::new(reader), reading.limits);
     match is_document {
         true => stream.next(target, reading)?,
         false => stream.next_list(target, reading)?,

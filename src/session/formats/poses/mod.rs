@@ -11,6 +11,7 @@ mod points;
 mod sniff;
 mod tables;
 mod time_stamps;
+mod tool_json;
 
 pub(crate) use arrays::{is_array, read_array};
 pub(crate) use found::FoundPoses;

@@ -8,7 +8,7 @@ use std::fmt;
 
 /// Points in the source's order; a null or `[null, ...]` is a missing point, a pair has confidence 1.
 ///
-/// Confidences are as written, but never below 0; a missing point lies at (0, 0).
+/// Where all are null the list is empty: trackers write this for people who are not there. Confidences are as written, but never below 0; a missing point lies at (0, 0).
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Points(pub(super) Vec<Keypoint>);
 
@@ -71,6 +71,9 @@ impl<'de> Visitor<'de> for PointsVisitor {
         }
         if n_open > 0 {
             return Err(A::Error::custom("the numbers of a person are not triples of x, y, confidence"));
+        }
+        if points.iter().all(|[x, y, _]| x.is_nan() || y.is_nan()) {
+            return Ok(Points::default());
         }
         let checked = points.into_iter().map(|[x, y, confidence]| checked_point(x, y, confidence));
         checked.collect::<Result<_, _>>().map(Points).map_err(A::Error::custom)
@@ -139,6 +142,7 @@ mod tests {
         assert_eq!(read("[[1, 2.5, 0.5], [null, null]]"), Ok(expected.clone()));
         assert_eq!(read("[[1, 2.5, 0.5], [3, 4, -1]]"), Ok(expected));
         assert_eq!(read("[[1, 2]]").unwrap()[0].confidence, 1.0);
+        assert_eq!(read("[null, null, null, null, null, null]"), Ok(Vec::new()));
         for bad in ["[1, 2]", "[1, [2, 3]]", "[[1, 2, 3, 4]]", "[1e9, 1, 1]", "[\"1\"]", "{}"] {
             assert!(read(bad).is_err(), "{bad}");
         }
