@@ -58,7 +58,6 @@ pub mod unsolvable;
 
 use crate::body::{BodyModel, default_body};
 use crate::progress::{Progress, Stages};
-use crate::session::recording_tests::suspicions;
 use crate::session::{JointTrajectory, PersonId, Reconstruction, Session, Suspicion, without_border_keypoints};
 use calibration::{Calibration, CameraFreedom};
 use capture::Capture;
@@ -81,7 +80,7 @@ use passes::synchronisation::{Timing, estimated_timing};
 use passes::unknown_lenses::estimated_focal_lengths;
 use planned_stages::{CORRECTED_STAGES, LAST_STAGES, corrected_stage_weights, stage_weights};
 use provisional::{ProvisionalScene, Watcher};
-use repair::{MAX_REPAIRS, repaired, with_repairs};
+use repair::{MAX_REPAIRS, known_mistakes, repaired, with_repairs};
 use result::{FittedResult, Solution, statures};
 use stages::joint_trajectories::joint_trajectories;
 use stages::metric_scale;
@@ -293,7 +292,7 @@ impl Attempt<'_> {
     /// Passes 1 to 7: cameras and people, or the recording without a mistake that can be repaired.
     fn placed(&self, session: &Session, stages: &mut Stages) -> Result<ControlFlow<Outcome, Placed>, PipelineError> {
         let Self { options, checkpoints, .. } = *self;
-        let known = suspicions(session);
+        let known = known_mistakes(session, options);
         if let Some(repair) = self.repair(&known) {
             return Ok(ControlFlow::Break(repair));
         }
@@ -444,7 +443,7 @@ impl Attempt<'_> {
         let timed = timing.applied_to(session);
         let refined = focal_lengths.applied_to(&timed);
         let capture = &Capture::new(observed.as_ref().unwrap_or(&refined), options);
-        let mut suspicions = suspicions(session);
+        let mut suspicions = known_mistakes(session, options);
         suspicions.extend(found);
         suspicions.extend_from_slice(self.applied);
 

@@ -3,10 +3,11 @@
 //! Only what has one remedy is repaired. A mirrored world has two, exchanged labels and mirrored images, and a wrong frame rate is
 //! known to some ten per cent only: those are left to the user.
 
-use super::config::Options;
+use super::config::{Extrinsics, Options};
 use crate::geometry::{Distortion, Intrinsics, Rigid};
 use crate::session::recording_tests::{
-    best_confidence, centred, likelier_convention, turned_with_images, without_doubles,
+    best_confidence, centred, likelier_convention, suspicions, suspicions_beside_poses, turned_with_images,
+    without_doubles,
 };
 use crate::session::{Session, Suspicion, SuspicionCode as Code, View};
 use nalgebra::Vector2;
@@ -18,6 +19,14 @@ pub const MAX_REPAIRS: usize = 2;
 
 /// The confidence that 95 % of the keypoints of common detectors do not exceed.
 const USUAL_BEST: f64 = 0.95;
+
+/// Probable mistakes that the files show before a solve with these options.
+pub fn known_mistakes(session: &Session, options: &Options) -> Vec<Suspicion> {
+    match options.extrinsics {
+        Extrinsics::Estimate => suspicions_beside_poses(session),
+        Extrinsics::Fixed | Extrinsics::Refine => suspicions(session),
+    }
+}
 
 /// Recording and options without the mistake; `None` where it has no single remedy.
 pub fn repaired(session: &Session, options: &Options, suspicion: &Suspicion) -> Option<(Session, Options)> {
@@ -143,7 +152,6 @@ mod tests {
     use super::*;
     use crate::body::skeleton::KeypointConvention;
     use crate::pipeline::config::Sync;
-    use crate::session::recording_tests::suspicions;
     use crate::simulation::mistakes::MISTAKES;
     use crate::simulation::{Preset, SimulationConfig, simulate};
 
@@ -203,6 +211,31 @@ mod tests {
             let centre = (lens(&found).cx - lens(&right).cx).hypot(lens(&found).cy - lens(&right).cy);
             assert!((ratio - 1.0).abs() < 1e-9 && centre < 1e-6, "{name}: {ratio} {centre}");
         }
+    }
+
+    /// Wrong poses in the files voided the standard deviations of all cameras of a solve that does not read them.
+    #[test]
+    fn poses_that_a_solve_does_not_read_were_held_against_it() {
+        let config = SimulationConfig { frames: 60, ..SimulationConfig::preset(Preset::Paper) };
+        let simulated = simulate(&config).unwrap();
+        let (mut right, poses) = (simulated.session, simulated.truth.cameras);
+        right.views.iter_mut().zip(poses).for_each(|(view, pose)| view.camera_from_world = Some(pose));
+        let mistake = MISTAKES.iter().find(|mistake| mistake.codes == [Code::GivenPoses]).unwrap();
+        let wrong = (mistake.inject)(&right).unwrap();
+        let known = |session: &Session, extrinsics: Extrinsics| {
+            known_mistakes(session, &Options { extrinsics, ..Options::default() })
+        };
+        let refined = known(&wrong, Extrinsics::Refine);
+        assert_eq!(refined.iter().map(|s| s.code).collect::<Vec<_>>(), [Code::GivenPoses]);
+        assert_eq!(known(&wrong, Extrinsics::Estimate), []);
+        // Keypoints of images that were turned by 180 degrees: that spoils an estimate as well.
+        let mut turned = right;
+        for View { intrinsics: lens, frames, .. } in &mut turned.views {
+            let last = Vector2::new(f64::from(lens.width) - 1.0, f64::from(lens.height) - 1.0);
+            frames.iter_mut().flatten().flat_map(|d| &mut d.keypoints).for_each(|k| *k = k.mapped(|p| last - p));
+        }
+        let found = known(&turned, Extrinsics::Estimate).into_iter().find(|s| s.code == Code::GivenPoses).unwrap();
+        assert!(found.suggested_option.is_none() && found.evidence.contains("180 degrees"), "{found}");
     }
 
     #[test]

@@ -88,6 +88,11 @@ impl Hypothesis {
         }
     }
 
+    /// Whether it reads the pixels otherwise, and not the poses.
+    fn is_about_pixels(self) -> bool {
+        !matches!(self, H::AsGiven | H::WorldFromCamera | H::TransposedRotation | H::OpenGlAxes)
+    }
+
     fn pose(self, given: &Rigid) -> Rigid {
         match self {
             H::WorldFromCamera => given.inverse(),
@@ -103,6 +108,22 @@ impl Hypothesis {
 
 /// The interpretation that explains the people much better than the given one.
 pub(super) fn suspicion(session: &Session) -> Option<Suspicion> {
+    let (_, evidence) = likeliest(session)?;
+    let remedy = "correct the calibration file, or estimate the cameras from the people";
+    let suggested_option = Some(r#"{"extrinsics": "estimate"}"#.to_owned());
+    Some(Suspicion { suggested_option, ..Suspicion::new(SuspicionCode::GivenPoses, Vec::new(), evidence, remedy) })
+}
+
+/// The same where the poses are estimated from the people: another reading of the poses changes nothing then, another reading of
+/// the pixels does.
+pub(super) fn suspicion_of_pixels(session: &Session) -> Option<Suspicion> {
+    let (_, evidence) = likeliest(session).filter(|(hypothesis, _)| hypothesis.is_about_pixels())?;
+    let remedy = "correct the calibration file";
+    Some(Suspicion::new(SuspicionCode::GivenPoses, Vec::new(), evidence, remedy))
+}
+
+/// The likeliest other interpretation, where it is much better, and what speaks for it.
+fn likeliest(session: &Session) -> Option<(Hypothesis, String)> {
     let given = epipolar_error_px(session, H::AsGiven).filter(|error| *error > GOOD_PX)?;
     let has_lens = session.views.iter().any(|view| view.intrinsics.dist != Distortion::None);
     let others = H::OTHERS.into_iter().filter(|other| has_lens || *other != H::AlreadyUndistorted);
@@ -115,9 +136,7 @@ pub(super) fn suspicion(session: &Session) -> Option<Suspicion> {
     let evidence = format!(
         "people lie {given:.1} px off the epipolar lines of the given cameras, but only {error:.1} px if {sentence}"
     );
-    let remedy = "correct the calibration file, or estimate the cameras from the people";
-    let suggested_option = Some(r#"{"extrinsics": "estimate"}"#.to_owned());
-    Some(Suspicion { suggested_option, ..Suspicion::new(SuspicionCode::GivenPoses, Vec::new(), evidence, remedy) })
+    Some((best, evidence))
 }
 
 /// Median distance of people to the epipolar lines of the best matching person in another camera, px.

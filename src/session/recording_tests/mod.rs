@@ -28,6 +28,15 @@ use rayon::prelude::*;
 
 /// Every suspicion that the keypoints and the calibration raise by themselves.
 pub fn suspicions(session: &Session) -> Vec<Suspicion> {
+    with_test_of_poses(session, |session| given_poses::suspicion(session).into_iter().collect())
+}
+
+/// Those that concern a solve which estimates the poses of the cameras: it does not read the given ones, which may be wrong.
+pub fn suspicions_beside_poses(session: &Session) -> Vec<Suspicion> {
+    with_test_of_poses(session, |session| given_poses::suspicion_of_pixels(session).into_iter().collect())
+}
+
+fn with_test_of_poses(session: &Session, test_of_poses: fn(&Session) -> Vec<Suspicion>) -> Vec<Suspicion> {
     let tests: [fn(&Session) -> Vec<Suspicion>; 7] = [
         image::suspicions,
         repetition::suspicions,
@@ -35,7 +44,7 @@ pub fn suspicions(session: &Session) -> Vec<Suspicion> {
         |session| repetition::periodic_gaps(session).into_iter().collect(),
         |session| detector::low_confidence(session).into_iter().collect(),
         |session| detector::convention(session).into_iter().collect(),
-        |session| given_poses::suspicion(session).into_iter().collect(),
+        test_of_poses,
     ];
     tests.par_iter().flat_map_iter(|test| test(session)).collect()
 }
