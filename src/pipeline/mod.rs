@@ -307,6 +307,7 @@ impl Attempt<'_> {
                 checkpoints.stage("synchronisation", || estimated_timing(session, options, last, &step))?
             }
         };
+        timing.require_common_time(session)?;
         let timed = timing.applied_to(session);
 
         // 2. Focal lengths.

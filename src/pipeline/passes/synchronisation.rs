@@ -1,7 +1,8 @@
 //! Time offsets of the cameras: given by the session, or estimated from the motion of people (`options.sync`).
 //!
 //! Frame `n` of a camera is taken at `n + offset` frames on the common time line; where clocks drift, offsets change linearly over
-//! the take ([`CameraClock`]). The estimate runs in this order:
+//! the take ([`CameraClock`]). Where offsets would move many frames off the time line, it begins where the camera in the middle does:
+//! a part that all offsets have in common says nothing. The estimate runs in this order:
 //!
 //! - `whole_frames`: offsets to whole frames, per pair of cameras the one with the best agreement on a relative pose,
 //!   reconciled over all pairs
@@ -11,6 +12,7 @@
 //! `retiming` shifts the recording to what synchronous cameras would have seen; later passes see only that.
 
 mod clock_rounds;
+mod time_line;
 
 use crate::pipeline::camera_clock::{CameraClock, drift_of_rate};
 use crate::pipeline::capture::Capture;
@@ -65,7 +67,8 @@ pub fn estimated_timing(
         cost_after: rounds.cost[1],
         ..StageReport::new("synchronisation", rounds.count, termination, metrics)
     };
-    Ok(Timing { offsets: rounds.time_offsets(), report: Some(report) })
+    let offsets = rounds.time_offsets(given.common_part(session));
+    Ok(Timing { offsets, report: Some(report) })
 }
 
 impl Timing {
@@ -100,7 +103,7 @@ impl Timing {
             let recorded = clocks[repair.view].recorded_frame(repair.frame.0, session.n_frames);
             repair.frame = FrameIndex(recorded.unwrap_or(repair.frame.0));
         }
-        let is_reported = self.report.is_some() || clocks.iter().any(|clock| *clock != CameraClock::default());
+        let is_reported = self.report.is_some() || self.offsets.iter().any(|offset| offset.secs != 0.0);
         if is_reported {
             for (v, offset) in self.offsets.iter().enumerate() {
                 reconstruction.cameras[v].time_offset = Some(*offset);
@@ -111,6 +114,7 @@ impl Timing {
             reconstruction.report.stages.insert(0, report.clone());
             self.warn_of_uncertainty(session, &mut reconstruction.report.quality);
         }
+        self.warn_of_lost_frames(session, &mut reconstruction.report.quality);
     }
 
     /// Adds a warning where offsets are too uncertain.
@@ -129,7 +133,20 @@ impl Timing {
         }
     }
 
+    /// Clocks against the common time line.
     fn clocks(&self, session: &Session) -> Vec<CameraClock> {
+        let common = self.common_part(session);
+        let mut clocks = self.clocks_as_reported(session);
+        clocks.iter_mut().for_each(|clock| clock.offset -= common);
+        clocks
+    }
+
+    /// The part of the offsets that is not applied, frames.
+    fn common_part(&self, session: &Session) -> f64 {
+        time_line::common_part(session, &self.clocks_as_reported(session))
+    }
+
+    fn clocks_as_reported(&self, session: &Session) -> Vec<CameraClock> {
         let clock = |offset: &TimeOffset| {
             let rate = offset.drift.map_or(0.0, |drift| drift.rate);
             CameraClock { offset: offset.secs * session.fps, drift: drift_of_rate(rate, session.n_frames) }

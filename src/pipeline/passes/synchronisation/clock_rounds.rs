@@ -122,11 +122,12 @@ impl<'a> Rounds<'a> {
         }
     }
 
-    pub(super) fn time_offsets(&self) -> Vec<TimeOffset> {
+    /// `common`: what was subtracted from all offsets at the start, frames.
+    pub(super) fn time_offsets(&self, common: f64) -> Vec<TimeOffset> {
         let Session { fps, n_frames, .. } = *self.session;
         let rate = |drift: f64| rate_of_drift(drift, n_frames);
         let of_view = |(clock, delay): (&CameraClock, &Option<Delay>)| TimeOffset {
-            secs: clock.offset / fps,
+            secs: (clock.offset + common) / fps,
             sigma_secs: delay.and_then(|delay| delay.sigma).map(|sigma| sigma / fps),
             drift: delay
                 .filter(|_| self.has_drifts)
