@@ -631,6 +631,38 @@ fn reads_hands_of_an_array_in_either_order() {
     }
 }
 
+/// MMPose names the points of its whole body; 110 of 133 had been dropped.
+#[test]
+fn named_whole_bodies_of_mmpose_lost_their_hands() {
+    let body = KeypointConvention::CocoWholebody133.names();
+    let detail = |k: usize| match k {
+        23..91 => format!("face-{}", k - 23),
+        91 => "left_hand_root".to_owned(),
+        112 => "right_hand_root".to_owned(),
+        _ => format!("{}_finger{}", if k < 112 { "left" } else { "right" }, k),
+    };
+    let name = |k: usize| body.get(k).map_or_else(|| detail(k), |name| (*name).to_owned());
+    let names: serde_json::Map<String, Value> = (0..133).map(|k| (k.to_string(), json!(name(k)))).collect();
+    let mut files = vec![header(), calib_toml()];
+    for (i, camera) in CAMERAS.iter().enumerate() {
+        let frame = |frame: i64| {
+            let mut points = people(i, frame, body).remove(0);
+            let [x, y, _] = points[10];
+            points.extend((23..133).map(|k| [x + k as f64, y, 0.5]));
+            let xy: Vec<[f64; 2]> = points.iter().map(|[x, y, _]| [*x, *y]).collect();
+            let scores: Vec<f64> = points.iter().map(|[.., c]| *c).collect();
+            json!({"frame_id": frame, "instances": [{"keypoints": xy, "keypoint_scores": scores}]})
+        };
+        let frames: Vec<Value> = (0..N_FRAMES).map(frame).collect();
+        let meta = json!({"dataset_name": "coco_wholebody", "keypoint_id2name": names});
+        let document = json!({"meta_info": meta, "instance_info": frames});
+        files.push((format!("results_{camera}.json"), document.to_string().into_bytes()));
+    }
+    let session = read(&files).unwrap().session;
+    assert_eq!(session.convention, KeypointConvention::CocoWholebody133);
+    assert!(session.views[0].frames[0][0].keypoints[23..].iter().all(|keypoint| keypoint.is_present()));
+}
+
 /// AlphaPose's 136 points, and its 68 without face.
 #[test]
 fn reads_whole_bodies_of_halpe() {

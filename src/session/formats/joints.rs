@@ -95,6 +95,25 @@ impl JointOrder {
         }
     }
 
+    /// Known orders that have every joint of this one at its place and differ by naming points of hands and face.
+    ///
+    /// Detectors name those in many ways (`left_hand_root`, `left_thumb1`, `face-0`) but write them in known orders.
+    pub(crate) fn completions(&self) -> Vec<Self> {
+        let is_detail = |joint: &Option<String>| {
+            joint.as_deref().is_some_and(|joint| joint.starts_with("face_") || joint.contains("_hand_"))
+        };
+        let agrees =
+            |(own, known): (&Option<String>, &Option<String>)| own == known || own.is_none() && is_detail(known);
+        let mut known = Self::candidates(self.joints.len());
+        known.retain(|order| order.n_named() > self.n_named() && self.joints.iter().zip(&order.joints).all(agrees));
+        known
+    }
+
+    /// Number of points with a name.
+    pub(crate) fn n_named(&self) -> usize {
+        self.joints.iter().flatten().count()
+    }
+
     /// Index in this order of each point of a convention.
     pub(crate) fn map_to(&self, convention: KeypointConvention) -> Vec<Option<usize>> {
         let place = |joint: Option<String>| self.joints.iter().position(|own| own.is_some() && *own == joint);
@@ -209,6 +228,31 @@ mod tests {
             assert!(order.map_to(convention).into_iter().eq((0..convention.n_keypoints()).map(Some)));
             assert!(JointOrder::candidates(convention.n_keypoints()).contains(&order), "{}", convention.name());
         }
+    }
+
+    /// MMPose's names of 133 points had kept 23 of them.
+    #[test]
+    fn names_of_a_whole_body_lost_hands_and_face() {
+        let whole = JointOrder::of_convention(KeypointConvention::CocoWholebody133);
+        let body: Vec<&str> = KeypointConvention::CocoWholebody133.names().to_vec();
+        let fingers = ["thumb", "forefinger", "middle_finger", "ring_finger", "pinky_finger"];
+        let hand = |side: &str| {
+            let joints = fingers.iter().flat_map(|finger| (1..=4).map(move |k| format!("{finger}{k}")));
+            std::iter::once("hand_root".to_owned())
+                .chain(joints)
+                .map(|joint| format!("{side}_{joint}"))
+                .collect::<Vec<_>>()
+        };
+        let face = (0..68).map(|k| format!("face-{k}"));
+        let names: Vec<String> =
+            body.iter().map(|name| (*name).to_owned()).chain(face).chain(hand("left")).chain(hand("right")).collect();
+        let named = |names: &[String]| JointOrder::of_names("coco_wholebody", names.iter().map(String::as_str));
+        assert_eq!((named(&names).n_named(), named(&names).completions()), (23, vec![whole]));
+        let mut exchanged = names;
+        exchanged.swap(5, 6);
+        assert_eq!(named(&exchanged).completions(), [], "shoulders are at each other's places");
+        let animal: Vec<&str> = std::iter::once("nose").chain(std::iter::repeat_n("tail", 16)).collect();
+        assert_eq!(JointOrder::of_names("animal", animal).completions(), []);
     }
 
     #[test]

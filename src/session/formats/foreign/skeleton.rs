@@ -127,9 +127,9 @@ fn order_of(source: &Source, header: &Header, warnings: &mut Warnings) -> Result
     };
     let own = declared.into_iter().chain(source.order.clone()).find_map(whole);
     if let Some(order) = own {
-        Fault::SkeletonUnknown
-            .when(order.joints.iter().flatten().count() < 4, || "fewer than 4 of the joint names are known")?;
-        return Ok(order);
+        Fault::SkeletonUnknown.when(order.n_named() < 4, || "fewer than 4 of the joint names are known")?;
+        let completed = best_order(order.completions(), people());
+        return Ok(completed.map_or(order, |evidence| evidence.order));
     }
     match best_order(JointOrder::candidates(n_points), people()) {
         None => Err(Fault::SkeletonUnknown.with(format!("no known skeleton has {n_points} points"))),
