@@ -334,6 +334,38 @@ fn scales_the_calibration_to_the_keypoints_image_size() {
     assert!(error.detail.contains("rotated"), "{}", error.detail);
 }
 
+/// Of two calibrations of one camera the second had been dropped without a word: two cameras had become one.
+#[test]
+fn two_calibrations_of_one_camera_were_merged_silently() {
+    let first = toml(OPENCV5, 5, "cam_#", 1.0, "");
+    let text = String::from_utf8(first[0].1.clone()).unwrap();
+    let second = |text: String| vec![("other/Calib.toml".to_owned(), text.into_bytes())];
+    let error = read(&with_poses([first.clone(), second(text.replace("800.5", "900.5"))].concat())).unwrap_err();
+    let place = (error.code, error.file.as_deref(), error.camera.as_deref());
+    assert_eq!(place, ("calibration_invalid", Some("other/Calib.toml"), Some("cam1")));
+    assert!(error.detail.contains("K ") && error.detail.contains("calibration.toml"), "{error}");
+    let same = second(text.replace("800.5", "800.5001"));
+    assert!(largest_difference_px(&read(&with_poses([first, same].concat())).unwrap(), OPENCV5, true) < 1e-6);
+}
+
+/// ROS's calibration tool writes one `camera_name` into the files of all cameras.
+#[test]
+fn cameras_of_ros_with_one_name_became_one_camera() {
+    let renamed = |change: fn(&str) -> String| {
+        let file = |(name, content): (String, Vec<u8>)| {
+            let mut text = String::from_utf8(content).unwrap();
+            CAMERAS
+                .iter()
+                .for_each(|id| text = text.replace(&format!("camera_name: {id}"), "camera_name: narrow_stereo"));
+            (change(&name), text.into_bytes())
+        };
+        with_poses(ros(OPENCV5).into_iter().map(file).collect())
+    };
+    for files in [renamed(str::to_owned), renamed(|name| name.replace(".yaml", "/ost.yaml"))] {
+        assert!(largest_difference_px(&read(&files).unwrap(), OPENCV5, false) < 1e-6);
+    }
+}
+
 /// One set of files per calibration format, for damage.
 pub(crate) fn damaged_sets() -> Vec<Files> {
     let calibrations = [

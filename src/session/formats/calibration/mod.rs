@@ -5,6 +5,7 @@ mod assoc4d;
 mod colmap;
 mod dmmr;
 mod format;
+mod merging;
 mod opencap;
 mod opencv_yaml;
 mod qualisys;
@@ -19,16 +20,21 @@ pub(crate) use opencap::recognise as is_opencap;
 use crate::session::upload::error::{Fault, UploadError};
 use crate::session::upload::raw::RawCamera;
 use crate::session::upload::warnings::Warnings;
+use merging::MergedCameras;
+use ros::RosCamera;
 
 /// Content of all calibration files of an upload.
 #[derive(Debug, Default)]
 pub(crate) struct Calibration {
     /// Names of the formats, in order of reading, each once.
     pub(crate) formats: Vec<&'static str>,
-    pub(crate) cameras: Vec<RawCamera>,
     /// Frames per second, where a file contains it.
     pub(crate) fps: Option<f64>,
+    /// Each with its file, in order of reading.
+    found: Vec<(RawCamera, String)>,
     colmap: colmap::Model,
+    /// The cameras of ROS with their places in `found`: which of their possible names differ shows when all have been read.
+    ros: Vec<(usize, RosCamera)>,
 }
 
 /// Recognises a calibration file by its beginning; `None` for anything else.
@@ -76,7 +82,10 @@ impl Calibration {
         };
         let cameras = match format {
             F::OpenCvYaml => opencv_yaml::read(text)?,
-            F::RosCameraInfo => vec![ros::read(file, text)?],
+            F::RosCameraInfo => {
+                self.ros.push((self.found.len(), ros::read(file, text)?));
+                Vec::new()
+            }
             F::Toml => toml_cameras::read(text, &mut self.fps, warnings)?,
             F::ColmapCameras => self.colmap.add_cameras(text).map(|()| Vec::new())?,
             F::ColmapImages => self.colmap.add_images(text).map(|()| Vec::new())?,
@@ -89,35 +98,32 @@ impl Calibration {
         if !self.formats.contains(&format.name()) {
             self.formats.push(format.name());
         }
-        cameras.into_iter().for_each(|camera| self.merge(camera));
+        self.found.extend(cameras.into_iter().map(|camera| (camera, file.to_owned())));
         Ok(())
     }
 
-    /// Merges values that are spread over several files, after all have been read.
+    /// The cameras of all files, those of the session's header (`own`, in file `header`) last.
     ///
     /// # Errors
-    /// An image of an unknown camera.
-    pub(crate) fn finish(&mut self, warnings: &mut Warnings) -> Result<(), UploadError> {
-        for camera in std::mem::take(&mut self.colmap).into_cameras(warnings)? {
-            self.merge(camera);
+    /// An image of an unknown camera, or two files that contradict each other about a camera.
+    pub(crate) fn cameras(
+        &mut self,
+        own: impl Iterator<Item = RawCamera>,
+        header: &str,
+        warnings: &mut Warnings,
+    ) -> Result<Vec<RawCamera>, UploadError> {
+        let mut merged = MergedCameras::default();
+        let mut ros = ros::named(std::mem::take(&mut self.ros)).into_iter().peekable();
+        for (place, (camera, file)) in std::mem::take(&mut self.found).into_iter().enumerate() {
+            while let Some((_, camera, file)) = ros.next_if(|(before, _, _)| *before <= place) {
+                merged.add(camera, &file)?;
+            }
+            merged.add(camera, &file)?;
         }
-        Ok(())
-    }
-
-    /// Adds a camera, or completes it with the values of a second file.
-    pub(crate) fn merge(&mut self, camera: RawCamera) {
-        let Some(own) = self.cameras.iter_mut().find(|own| own.id == camera.id) else {
-            self.cameras.push(camera);
-            return;
-        };
-        if own.width == 0 || own.height == 0 {
-            (own.width, own.height) = (camera.width, camera.height);
-        }
-        own.matrix = own.matrix.take().or(camera.matrix);
-        own.distortion = own.distortion.take().or(camera.distortion);
-        own.distortion_model = own.distortion_model.take().or(camera.distortion_model);
-        own.rotation = own.rotation.take().or(camera.rotation);
-        own.translation = own.translation.take().or(camera.translation);
-        own.time_offset = own.time_offset.or(camera.time_offset);
+        ros.try_for_each(|(_, camera, file)| merged.add(camera, &file))?;
+        let colmap = std::mem::take(&mut self.colmap).into_cameras(warnings)?;
+        colmap.into_iter().try_for_each(|camera| merged.add(camera, "cameras.txt"))?;
+        own.into_iter().try_for_each(|camera| merged.add(camera, header))?;
+        Ok(merged.into_cameras())
     }
 }

@@ -47,12 +47,12 @@ pub(crate) fn read_members<R: Read + Seek>(
 ) -> Result<MembersRead, UploadError> {
     let mut header = read_header(&survey, members)?;
     let header_cameras = header.take_cameras();
-    let mut calibration = read_calibrations(&survey, &header_cameras, members, reading)?;
+    let (calibration, calibrated) = read_calibrations(&survey, &header_cameras, members, reading)?;
     let found = read_sources(&survey, members, reading)?;
     let mut sources = found.sources;
     sources.retain(|source| !source.poses.order.is_empty());
     Fault::NoFrames.when(sources.is_empty(), || "the pose files contain no frame")?;
-    let cameras = match std::mem::take(&mut calibration.cameras) {
+    let cameras = match calibrated {
         none if none.is_empty() => without_lenses(&header_cameras, &sources),
         cameras => cameras,
     };
@@ -104,32 +104,28 @@ fn read_calibrations<R: Read + Seek>(
     header_cameras: &[RawCamera],
     members: &mut Members<R>,
     reading: &mut Reading<'_>,
-) -> Result<Calibration, UploadError> {
+) -> Result<(Calibration, Vec<RawCamera>), UploadError> {
     let mut calibration = Calibration::default();
     for (name, format) in &survey.calibrations {
         let in_file = |e: UploadError| UploadError { file: Some(name.clone()), ..e };
         let bytes = read_bytes(members, name, MAX_CALIBRATION_BYTES)?;
         calibration.add(*format, name, &bytes, reading.warnings).map_err(in_file)?;
     }
-    calibration.finish(reading.warnings)?;
-    for camera in header_cameras.iter().filter(|camera| camera.matrix.is_some()) {
-        calibration.merge(camera.clone());
-    }
-    calibration.cameras.retain(|camera| {
+    let own = header_cameras.iter().filter(|camera| camera.matrix.is_some()).cloned();
+    let header = survey.header.as_deref().unwrap_or_default();
+    let mut cameras = calibration.cameras(own, header, reading.warnings)?;
+    cameras.retain(|camera| {
         let is_whole = camera.matrix.is_some();
         if !is_whole {
             reading.warnings.add(format!("camera {} has a pose but no intrinsics: it is ignored", shown(&camera.id)));
         }
         is_whole
     });
-    Fault::TooManyCameras.when(calibration.cameras.len() > 4 * reading.limits.max_cameras, || {
-        format!(
-            "the calibration has {} cameras, at most {} are read",
-            calibration.cameras.len(),
-            4 * reading.limits.max_cameras
-        )
+    let most = 4 * reading.limits.max_cameras;
+    Fault::TooManyCameras.when(cameras.len() > most, || {
+        format!("the calibration has {} cameras, at most {most} are read", cameras.len())
     })?;
-    Ok(calibration)
+    Ok((calibration, cameras))
 }
 
 /// The cameras of an upload without any calibration: those of the header, else one of each pose file or folder.
