@@ -366,6 +366,24 @@ fn cameras_of_ros_with_one_name_became_one_camera() {
     }
 }
 
+/// A camera without K beside cameras with K had been thrown away, though its focal length is estimated.
+#[test]
+fn poses_of_a_camera_without_k_were_ignored() {
+    let without_k = |size: [u32; 2]| {
+        let change = move |camera: &mut serde_json::Value| {
+            if camera["id"] == "cam3" {
+                *camera = json!({"id": "cam3", "width": size[0], "height": size[1]});
+            }
+        };
+        read(&with_poses(vec![native(Distortion::None, change)]))
+    };
+    let loaded = without_k([WIDTH, HEIGHT]).unwrap();
+    let known: Vec<bool> = loaded.session.views.iter().map(|view| view.has_intrinsics).collect();
+    assert_eq!(known, [true, true, false], "{:?}", loaded.warnings);
+    let error = without_k([0, 0]).unwrap_err();
+    assert_eq!((error.code, error.camera.as_deref()), ("image_size_unknown", Some("cam3")));
+}
+
 /// One set of files per calibration format, for damage.
 pub(crate) fn damaged_sets() -> Vec<Files> {
     let calibrations = [

@@ -19,6 +19,7 @@ use crate::session::upload::error::{Fault, UploadError, shown};
 use crate::session::upload::json::{Reading, ShortList};
 use crate::session::upload::members::Members;
 use crate::session::upload::raw::{MembersRead, RawCamera, RawSession};
+use crate::session::upload::warnings::Warnings;
 use header::Header;
 use sources::{Source, read_bytes, read_sources};
 use std::collections::BTreeMap;
@@ -54,7 +55,7 @@ pub(crate) fn read_members<R: Read + Seek>(
     Fault::NoFrames.when(sources.is_empty(), || "the pose files contain no frame")?;
     let cameras = match calibrated {
         none if none.is_empty() => without_lenses(&header_cameras, &sources),
-        cameras => cameras,
+        cameras => with_unknown_lenses(cameras, &header_cameras, &sources)?,
     };
     let (cameras, mut sources) = paired(cameras, sources, reading)?;
     let convention = skeleton::unify(&mut sources, &header, reading.warnings)?;
@@ -135,6 +136,27 @@ fn without_lenses(header_cameras: &[RawCamera], sources: &[Source]) -> Vec<RawCa
     }
     let camera = |id: &String| RawCamera { id: id.clone(), ..RawCamera::default() };
     sources.iter().filter_map(|source| source.names.first().map(camera)).collect()
+}
+
+/// The calibrated cameras, and those of the header without K that have poses of their own: their focal lengths are estimated.
+fn with_unknown_lenses(
+    calibrated: Vec<RawCamera>,
+    header_cameras: &[RawCamera],
+    sources: &[Source],
+) -> Result<Vec<RawCamera>, UploadError> {
+    let ids: Vec<&str> = calibrated.iter().map(|camera| camera.id.as_str()).collect();
+    let source_names: Vec<Vec<String>> = sources.iter().map(|source| source.names.clone()).collect();
+    // Its warnings are those of the pairing that follows.
+    let matched = names::match_cameras(&source_names, &ids, &mut Warnings::default())?;
+    let unmatched: Vec<&Vec<String>> =
+        source_names.iter().zip(matched).filter(|(_, camera)| camera.is_none()).map(|(names, _)| names).collect();
+    let has_poses = |camera: &&RawCamera| {
+        camera.matrix.is_none()
+            && !ids.contains(&camera.id.as_str())
+            && unmatched.iter().any(|names| names::is_named(names, &camera.id))
+    };
+    let without_lens: Vec<RawCamera> = header_cameras.iter().filter(has_poses).cloned().collect();
+    Ok(calibrated.into_iter().chain(without_lens).collect())
 }
 
 /// Pairs cameras with their poses, in the calibration's order; those without a partner are left out with a warning.

@@ -46,6 +46,11 @@ pub(super) fn match_cameras(
     Ok(matched)
 }
 
+/// Whether one of a source's names is a camera's, apart from case and tools' suffixes.
+pub(super) fn is_named(source: &[String], camera: &str) -> bool {
+    source.iter().any(|name| name == camera || plain(name).is_some_and(|name| plain(camera) == Some(name)))
+}
+
 fn check_unique(matched: &[Option<usize>], sources: &[Vec<String>], cameras: &[&str]) -> Result<(), UploadError> {
     for (source, camera) in matched.iter().enumerate() {
         let twin = (0..source).find(|other| camera.is_some() && matched[*other] == *camera);
