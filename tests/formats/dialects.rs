@@ -401,6 +401,26 @@ fn reads_a_custom_skeleton_by_names() {
     assert!(known.iter().all(|name| loaded.session.convention.index_of(name).is_some()));
 }
 
+/// Names that did not fit were ignored, and the points read in the order of another skeleton.
+#[test]
+fn declared_names_of_another_number_were_ignored() {
+    let mut files = openpose(KeypointConvention::Halpe26.names());
+    let mut detail = |declared: Value| {
+        files[0].1 = declared.to_string().into_bytes();
+        let error = read(&files).unwrap_err();
+        assert_eq!(error.code, "keypoint_count");
+        error.detail
+    };
+    let names = detail(json!({"fps": 50, "keypoint_names": KeypointConvention::Body25.names()}));
+    assert!(names.contains("session.json names 25 keypoints") && names.contains("has 26"), "{names}");
+    let convention = detail(json!({"fps": 50, "keypoint_convention": "coco17"}));
+    assert!(convention.contains("declares coco17 with 17 keypoints"), "{convention}");
+    // No camera shows a hand.
+    let mut files = openpose(KeypointConvention::Body25.names());
+    files[0].1 = json!({"fps": 50, "keypoint_convention": "body25_hands"}).to_string().into_bytes();
+    assert_eq!(read(&files).unwrap().session.convention, KeypointConvention::Body25Hands);
+}
+
 #[test]
 fn reads_caliscope_points_with_time_stamps() {
     let mut text =

@@ -29,11 +29,16 @@ const VITPOSE25: [&str; 25] = [
 impl JointOrder {
     /// The order of a keypoint convention. Points of face and hands have names here, so that they are mapped between conventions.
     pub(crate) fn of_convention(convention: KeypointConvention) -> Self {
-        let body = Self::of_body(convention.name(), convention.names());
+        let body = Self::of_body_of(convention);
         let Some(face) = face_keypoints(convention) else { return body };
         let face = (0..face.len()).map(|k| Some(format!("face_{k}")));
         let joints = body.joints.into_iter().chain(face).chain(Side::BOTH.into_iter().flat_map(hand_names));
         Self { joints: joints.collect(), ..body }
+    }
+
+    /// The order of a convention without face and hands.
+    pub(crate) fn of_body_of(convention: KeypointConvention) -> Self {
+        Self::of_body(convention.name(), convention.names())
     }
 
     /// The order with the points of the left hand and those of the right hand after its own.

@@ -115,17 +115,10 @@ fn order_of(source: &Source, header: &Header, warnings: &mut Warnings) -> Result
             return Err(UploadError { frame: Some(*frame), person: Some(person), ..error });
         }
     }
-    let names =
-        header.keypoint_names.as_ref().map(|names| JointOrder::of_names("named", names.iter().map(String::as_str)));
-    let convention = header.keypoint_convention.as_deref().and_then(KeypointConvention::parse);
-    let declared = names.or_else(|| convention.map(JointOrder::of_convention));
-    // Names are those of the body; detectors write hands after it.
-    let whole = |order: JointOrder| match n_points.checked_sub(order.joints.len()) {
-        Some(0) => Some(order),
-        Some(N_HANDS_POINTS) => Some(order.with_hands()),
-        _ => None,
+    let own = match declared_order(source, header, n_points)? {
+        None => source.order.clone().and_then(|order| whole(order, n_points)),
+        declared => declared,
     };
-    let own = declared.into_iter().chain(source.order.clone()).find_map(whole);
     if let Some(order) = own {
         Fault::SkeletonUnknown.when(order.n_named() < 4, || "fewer than 4 of the joint names are known")?;
         let completed = best_order(order.completions(), people());
@@ -140,6 +133,40 @@ fn order_of(source: &Source, header: &Header, warnings: &mut Warnings) -> Result
             }
             Ok(order)
         }
+    }
+}
+
+/// The order that the header declares, for a source with this number of points.
+///
+/// # Errors
+/// [`Fault::KeypointCount`] where the source has another number of points: an order that does not fit is a mistake, not a hint.
+fn declared_order(source: &Source, header: &Header, n_points: usize) -> Result<Option<JointOrder>, UploadError> {
+    let mismatch = |declared: String| {
+        let camera = shown(source.names.first().map_or("", String::as_str));
+        Fault::KeypointCount.with(format!("session.json {declared}, {camera} has {n_points}"))
+    };
+    if let Some(names) = &header.keypoint_names {
+        let order = JointOrder::of_names("named", names.iter().map(String::as_str));
+        return whole(order, n_points).map(Some).ok_or_else(|| mismatch(format!("names {} keypoints", names.len())));
+    }
+    let Some(convention) = header.keypoint_convention.as_deref().and_then(KeypointConvention::parse) else {
+        return Ok(None);
+    };
+    // A camera may show no hand; a file that names its joints is converted to the convention.
+    let of_names = || source.order.clone().and_then(|order| whole(order, n_points));
+    let fitting = whole(JointOrder::of_convention(convention), n_points)
+        .or_else(|| whole(JointOrder::of_body_of(convention), n_points))
+        .or_else(of_names);
+    let declared = || format!("declares {} with {} keypoints", convention.name(), convention.n_keypoints());
+    fitting.map(Some).ok_or_else(|| mismatch(declared()))
+}
+
+/// The order with as many points: names are those of the body, and detectors write hands after it.
+fn whole(order: JointOrder, n_points: usize) -> Option<JointOrder> {
+    match n_points.checked_sub(order.joints.len()) {
+        Some(0) => Some(order),
+        Some(N_HANDS_POINTS) => Some(order.with_hands()),
+        _ => None,
     }
 }
 
