@@ -53,11 +53,11 @@ fn unsolved(input: &VerdictInput) -> impl Iterator<Item = Reason> {
     let is_rest_solved = input.n_placed() >= 2;
     let unsolved = input.cameras.iter().filter(|camera| !camera.solved && !camera.excluded && !is_named(input, camera));
     unsolved.map(move |camera| {
-        let text = format!(
-            "camera {} could not be placed: its detections agree with no other camera; check its frames, intrinsics and \
-             synchronisation",
-            camera.id
-        );
+        let why = match camera.n_detections {
+            0 => "it has no detections; check its keypoint files",
+            _ => "its detections agree with no other camera; check its frames, intrinsics and synchronisation",
+        };
+        let text = format!("camera {} could not be placed: {why}", camera.id);
         if is_rest_solved { Reason::warn(text) } else { Reason::reject(text) }
     })
 }

@@ -189,6 +189,21 @@ fn names_an_unplaced_camera() {
     });
 }
 
+/// A camera whose files held no detection was said to disagree with the others.
+#[test]
+fn a_camera_without_detections_was_said_to_disagree() {
+    assert_reason(Verdict::Warn, &["cam1", "no detections", "keypoint files"], |input| {
+        input.cameras[1] = CameraReport {
+            solved: false,
+            n_detections: 0,
+            n_rejected_detections: 0,
+            reprojection_px: None,
+            reprojection_mm: None,
+            ..input.cameras[1].clone()
+        };
+    });
+}
+
 #[test]
 fn a_suspicion_replaces_other_reasons_about_its_camera() {
     let suspicion = |code| Suspicion {
