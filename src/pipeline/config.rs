@@ -172,6 +172,9 @@ impl Options {
         if self.intrinsics == IntrinsicsMode::RefineFocal && cameras.len() < 2 {
             return refuse("/intrinsics", "a single camera does not determine its focal length; use \"fixed\"");
         }
+        if self.sync == Sync::Estimate && cameras.len() < 2 {
+            return refuse("/sync", "a single camera has no other camera to be compared with; use \"given\"");
+        }
         self.check_unknown_lenses(cameras)?;
         if self.body != DEFAULT_BODY && !bodies.contains(&self.body) {
             let known: String = bodies.iter().map(|name| format!(" or {name:?}")).collect();
@@ -387,6 +390,16 @@ mod tests {
     fn repeated_exports_count_once() {
         let options: Options = serde_json::from_str(r#"{"exports": ["glb", "bvh", "glb", "glb"]}"#).unwrap();
         assert_eq!(options.exports, [ExportFormat::Glb, ExportFormat::Bvh]);
+    }
+
+    /// Its offset was reported as uncertain by more than a quarter of a frame.
+    #[test]
+    fn offsets_of_a_single_camera_were_estimated() {
+        let camera = |id: &str| CameraFacts { id: id.to_owned(), has_extrinsics: false, has_intrinsics: true };
+        let options = Options { sync: Sync::Estimate, ..Options::default() };
+        let refused = options.check(&[camera("a")], &[]).unwrap_err().to_string();
+        assert!(refused.starts_with("/sync: ") && refused.contains("\"given\""), "{refused}");
+        assert!(options.check(&[camera("a"), camera("b")], &[]).is_ok());
     }
 
     #[test]

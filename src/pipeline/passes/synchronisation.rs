@@ -112,17 +112,19 @@ impl Timing {
         }
         if let Some(report) = &self.report {
             reconstruction.report.stages.insert(0, report.clone());
-            self.warn_of_uncertainty(session, &mut reconstruction.report.quality);
+            let solved: Vec<bool> = reconstruction.cameras.iter().map(|c| c.camera_from_world.is_some()).collect();
+            self.warn_of_uncertainty(session, &solved, &mut reconstruction.report.quality);
         }
         self.warn_of_lost_frames(session, &mut reconstruction.report.quality);
     }
 
-    /// Adds a warning where offsets are too uncertain.
-    fn warn_of_uncertainty(&self, session: &Session, quality: &mut Quality) {
+    /// Adds a warning where offsets of cameras that were placed are too uncertain; of the others none was estimated.
+    fn warn_of_uncertainty(&self, session: &Session, solved: &[bool], quality: &mut Quality) {
         let limit = SIGMA_WARN / session.fps;
-        let is_uncertain = |offset: &TimeOffset| offset.sigma_secs.is_none_or(|sigma| sigma > limit);
-        let uncertain = session.views.iter().zip(&self.offsets).filter(|(_, offset)| is_uncertain(offset));
-        let ids: Vec<&str> = uncertain.map(|(view, _)| view.id.as_str()).collect();
+        let is_uncertain = |offset: &TimeOffset| offset.sigma_secs.is_some_and(|sigma| sigma > limit);
+        let estimated = session.views.iter().zip(&self.offsets).zip(solved).filter(|(_, solved)| **solved);
+        let uncertain = estimated.filter(|((_, offset), _)| is_uncertain(offset));
+        let ids: Vec<&str> = uncertain.map(|((view, _), _)| view.id.as_str()).collect();
         if !ids.is_empty() {
             quality.verdict = quality.verdict.max(Verdict::Warn);
             quality.reasons.push(format!(
@@ -152,5 +154,25 @@ impl Timing {
             CameraClock { offset: offset.secs * session.fps, drift: drift_of_rate(rate, session.n_frames) }
         };
         self.offsets.iter().map(clock).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulation::{Preset, SimulationConfig, simulate};
+
+    /// A camera that could not be placed was said to have an uncertain offset.
+    #[test]
+    fn a_missing_estimate_counted_as_an_uncertain_one() {
+        let config = SimulationConfig { frames: 10, views: 3, ..SimulationConfig::preset(Preset::Easy) };
+        let session = simulate(&config).unwrap().session;
+        let offsets = [Some(0.001), None, Some(0.5)];
+        let offsets = offsets.map(|sigma_secs| TimeOffset { secs: 0.1, sigma_secs, drift: None }).to_vec();
+        let timing = Timing { offsets, report: None };
+        let mut quality = Quality { verdict: Verdict::Pass, reasons: Vec::new() };
+        timing.warn_of_uncertainty(&session, &[true, false, true], &mut quality);
+        let expected = format!("the time offsets of {} are uncertain", session.views[2].id);
+        assert!(quality.reasons.len() == 1 && quality.reasons[0].starts_with(&expected), "{:?}", quality.reasons);
     }
 }
