@@ -85,7 +85,7 @@ impl<'a> Edit<'a> {
             Correction::Merge { people } => self.merge(index, people),
             Correction::Split { person, frame } => self.split(*person, *frame),
             Correction::Exchange { people, frame, last_frame } => self.exchange(*people, *frame, *last_frame),
-            Correction::ExcludeCamera { camera } => self.exclude_camera(camera),
+            Correction::ExcludeCamera { camera } => self.exclude_camera(index, camera),
             Correction::ExcludePerson { person } => self.exclude_person(index, *person),
             Correction::ExcludeFrames { frames, camera, person } => {
                 self.exclude_frames(*frames, camera.as_deref(), *person)
@@ -179,7 +179,7 @@ impl<'a> Edit<'a> {
         }
     }
 
-    fn exclude_camera(&mut self, camera: &str) -> Result<(), String> {
+    fn exclude_camera(&mut self, index: usize, camera: &str) -> Result<(), String> {
         let view = self.view(camera)?;
         self.result.excluded_views.insert(view);
         let n_left = self.session.views.len() - self.result.excluded_views.len();
@@ -189,6 +189,12 @@ impl<'a> Edit<'a> {
         let frames = self.session.views[view].frames.iter().enumerate();
         self.result.excluded.extend(frames.flat_map(|(f, people)| (0..people.len()).map(move |d| [view, f, d])));
         self.forget_excluded();
+        // Those that no other camera shows would stand in the way of the corrections that follow.
+        let unseen: Vec<usize> =
+            self.people.iter().filter(|(_, seen)| seen.is_empty()).map(|(person, _)| *person).collect();
+        for person in unseen {
+            self.remove(person, format!("correction {} left out the only camera that showed this person", index + 1));
+        }
         Ok(())
     }
 
@@ -305,7 +311,6 @@ impl<'a> Edit<'a> {
 
     fn result(self) -> CorrectedPeople {
         let n_views = self.session.views.len();
-        // A camera that is left out can leave a person without any detection.
         let seen = self.people.iter().filter(|(_, detections)| !detections.is_empty());
         let track = |(person, detections): (&usize, &Detections)| {
             let (first, last) = ends(detections);

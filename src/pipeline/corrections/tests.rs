@@ -70,6 +70,23 @@ fn exchanges_a_range() {
     assert_eq!(spans(&whole), [[0, 0, 5], [1, 0, 10], [2, 7, 3]]);
 }
 
+/// A person that the camera left out before had shown alone ended every later correction of frames with an error about it.
+#[test]
+fn an_unseen_person_stopped_corrections_of_others() {
+    let mut tracks = tracks();
+    tracks[2].detections.iter_mut().for_each(|seen| (seen[1], seen[2]) = (None, None));
+    let applied = |more: &str| {
+        let list = format!(r#"[{{"action": "exclude_camera", "camera": "a"}}, {more}]"#);
+        let corrections: Vec<Correction> = serde_json::from_str(&list).unwrap();
+        corrected_people(&session(), &tracks, &corrections).map_err(|error| error.to_string())
+    };
+    let people = applied(r#"{"action": "exclude_frames", "frames": [100, 101], "person": 0}"#).unwrap();
+    assert_eq!(spans(&people), [[0, 2, 8], [1, 0, 5]]);
+    assert!(applied(r#"{"action": "split", "person": 0, "frame": 104}"#).is_ok());
+    let error = applied(r#"{"action": "split", "person": 2, "frame": 108}"#).unwrap_err();
+    assert!(error.contains("person 2 was removed: correction 1 left out the only camera"), "{error}");
+}
+
 #[test]
 fn excludes_detections() {
     let people = corrected(r#"[{"action": "exclude_person", "person": 2}]"#).unwrap();
