@@ -1,7 +1,7 @@
 //! Every calibration file projects like the camera it was written from; values that a format lacks cause warnings.
 
 use crate::dialects::openpose;
-use crate::take::{CAMERAS, COCO17, Camera, Files, HEIGHT, WIDTH, camera, read};
+use crate::take::{CAMERAS, COCO17, Camera, Files, HEIGHT, WIDTH, camera, people, read};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use serde_json::json;
 use wandless::geometry::{Distortion, rotation};
@@ -382,6 +382,27 @@ fn poses_of_a_camera_without_k_were_ignored() {
     assert_eq!(known, [true, true, false], "{:?}", loaded.warnings);
     let error = without_k([0, 0]).unwrap_err();
     assert_eq!((error.code, error.camera.as_deref()), ("image_size_unknown", Some("cam3")));
+}
+
+/// Without a calibration both were named `annotations`, and the upload refused for an id that its sender had never written.
+#[test]
+fn files_of_one_name_in_folders_were_one_camera() {
+    let images = |frames: std::ops::Range<i64>| {
+        let image = |id: i64| json!({"id": id, "file_name": format!("{id:06}.jpg"), "width": WIDTH, "height": HEIGHT});
+        frames.map(image).collect::<Vec<_>>()
+    };
+    let file = |(i, id): (usize, &&str)| {
+        let annotation = |frame: i64| {
+            let keypoints: Vec<f64> = people(i, frame, &COCO17)[0].iter().flatten().copied().collect();
+            json!({"id": frame, "image_id": frame, "category_id": 1, "keypoints": keypoints})
+        };
+        let annotations: Vec<_> = (0..4).map(annotation).collect();
+        let document = json!({"images": images(0..4), "annotations": annotations, "categories": []});
+        (format!("{id}/annotations.json"), document.to_string().into_bytes())
+    };
+    let loaded = read(&CAMERAS.iter().enumerate().map(file).collect()).unwrap();
+    assert_eq!(loaded.session.views.iter().map(|view| view.id.as_str()).collect::<Vec<_>>(), CAMERAS);
+    assert!(loaded.warnings.iter().any(|line| line.contains("poses of \"cam1\"")), "{:?}", loaded.warnings);
 }
 
 /// One set of files per calibration format, for damage.

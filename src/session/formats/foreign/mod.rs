@@ -22,7 +22,7 @@ use crate::session::upload::raw::{MembersRead, RawCamera, RawSession};
 use crate::session::upload::warnings::Warnings;
 use header::Header;
 use sources::{Source, read_bytes, read_sources};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek};
 
 /// Largest header and calibration file, bytes; a calibration of a thousand images has some megabytes.
@@ -77,7 +77,8 @@ pub(crate) fn read_members<R: Read + Seek>(
     let last_frame = frames().max().unwrap_or(first_frame);
     let n_found = last_frame.saturating_sub(first_frame).saturating_add(1).max(0).unsigned_abs();
     let format = format_name(&sources, &calibration, &header_cameras);
-    let file = survey.header.clone().or(survey.calibrations.first().map(|(name, _)| name.clone()));
+    let of_poses = || sources.first().map(|source| source.poses.file.clone());
+    let file = survey.header.clone().or(survey.calibrations.first().map(|(name, _)| name.clone())).or_else(of_poses);
     let raw = RawSession {
         file: file.unwrap_or_default(),
         name: header.name.unwrap_or_default(),
@@ -129,13 +130,20 @@ fn read_calibrations<R: Read + Seek>(
     Ok((calibration, cameras))
 }
 
-/// The cameras of an upload without any calibration: those of the header, else one of each pose file or folder.
+/// The cameras of an upload without any calibration: those of the header, else one of each pose file or folder, with the innermost
+/// names that differ between all of them (`cam1/annotations.json` and `cam2/annotations.json` are cameras cam1 and cam2).
 fn without_lenses(header_cameras: &[RawCamera], sources: &[Source]) -> Vec<RawCamera> {
     if !header_cameras.is_empty() {
         return header_cameras.to_vec();
     }
-    let camera = |id: &String| RawCamera { id: id.clone(), ..RawCamera::default() };
-    sources.iter().filter_map(|source| source.names.first().map(camera)).collect()
+    let names_at = |level: usize| -> Vec<&String> { sources.iter().filter_map(|s| s.names.get(level)).collect() };
+    let differ = |level: &usize| {
+        let names = names_at(*level);
+        names.len() == sources.len() && names.iter().collect::<BTreeSet<_>>().len() == names.len()
+    };
+    let n_levels = sources.iter().map(|source| source.names.len()).max().unwrap_or(0);
+    let level = (0..n_levels).find(differ).unwrap_or(0);
+    names_at(level).into_iter().map(|id| RawCamera { id: id.clone(), ..RawCamera::default() }).collect()
 }
 
 /// The calibrated cameras, and those of the header without K that have poses of their own: their focal lengths are estimated.
@@ -169,9 +177,11 @@ fn paired(
     let source_names: Vec<Vec<String>> = sources.iter().map(|source| source.names.clone()).collect();
     let matched = names::match_cameras(&source_names, &ids, reading.warnings)?;
     let mut by_camera: BTreeMap<usize, Source> = BTreeMap::new();
-    for (source, camera) in sources.into_iter().zip(matched) {
+    for (mut source, camera) in sources.into_iter().zip(matched) {
         match camera {
             Some(camera) => {
+                // From here on messages name the camera.
+                source.names = vec![cameras[camera].id.clone()];
                 by_camera.insert(camera, source);
             }
             None => {
