@@ -405,6 +405,40 @@ fn files_of_one_name_in_folders_were_one_camera() {
     assert!(loaded.warnings.iter().any(|line| line.contains("poses of \"cam1\"")), "{:?}", loaded.warnings);
 }
 
+/// What OpenCV's calibration program writes was read as EasyMocap's file and refused for its missing names.
+#[test]
+fn opencvs_own_calibration_was_refused() {
+    let file = |(name, content): (String, Vec<u8>)| {
+        let text = String::from_utf8(content).unwrap();
+        let (text, is_named) =
+            (text.replace("matrix:\n", "matrix: !!opencv-matrix\n"), |l: &&str| !l.starts_with("camera_name"));
+        let lines: Vec<&str> = text.lines().filter(is_named).filter(|l| !l.starts_with("distortion_model")).collect();
+        (name, format!("%YAML:1.0\n---\ncalibration_time: \"Mon\"\n{}\n", lines.join("\n")).into_bytes())
+    };
+    let files = with_poses(ros(OPENCV5).into_iter().map(file).collect());
+    assert!(largest_difference_px(&read(&files).unwrap(), OPENCV5, false) < 1e-6);
+}
+
+/// A quaternion was dropped without a word, and `t` then said to be given without R.
+#[test]
+fn a_rotation_of_four_numbers_was_dropped() {
+    let change = |files: Files, from: &str, to: &str| {
+        let file = |(name, content): (String, Vec<u8>)| {
+            (name, String::from_utf8(content).unwrap().replacen(from, to, 1).into_bytes())
+        };
+        let error = read(&with_poses(files.into_iter().map(file).collect())).unwrap_err();
+        assert_eq!(error.code, "calibration_invalid");
+        error.to_string()
+    };
+    let error = change(toml(OPENCV5, 5, "cam_#", 1.0, ""), "rotation = [", "rotation = [0.0, ");
+    assert!(error.contains("camera \"cam_0\"") && error.contains("`rotation` has 4 numbers, expected 3"), "{error}");
+    let (from, to) = (
+        "R_cam1: !!opencv-matrix\r\n   rows: 3\r\n   cols: 1\r\n   dt: d\r\n   data: [ ",
+        "R_cam1:\r\n   data: [ 0.0, ",
+    );
+    assert!(change(opencv_yaml(OPENCV5, true), from, to).contains("R_cam1 has 4 numbers"));
+}
+
 /// One set of files per calibration format, for damage.
 pub(crate) fn damaged_sets() -> Vec<Files> {
     let calibrations = [

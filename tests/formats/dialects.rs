@@ -401,6 +401,19 @@ fn reads_a_custom_skeleton_by_names() {
     assert!(known.iter().all(|name| loaded.session.convention.index_of(name).is_some()));
 }
 
+/// Files that .NET and PowerShell had written were not recognised.
+#[test]
+fn files_with_a_byte_order_mark_were_not_recognised() {
+    for (name, files) in [("openpose", openpose(&COCO17)), ("mmpose", mmpose(true)), ("deeplabcut", deeplabcut())] {
+        let mark = |(name, content): &(String, Vec<u8>)| {
+            let is_header = name == "session.json";
+            (name.clone(), if is_header { content.clone() } else { [&b"\xef\xbb\xbf"[..], content].concat() })
+        };
+        let marked = read(&files.iter().map(mark).collect()).unwrap_or_else(|e| panic!("{name}: {e}"));
+        assert_eq!(marked.session, read(&files).unwrap().session, "{name}");
+    }
+}
+
 /// Names that did not fit were ignored, and the points read in the order of another skeleton.
 #[test]
 fn declared_names_of_another_number_were_ignored() {

@@ -17,6 +17,7 @@ mod yaml;
 pub(crate) use format::CalibrationFormat;
 pub(crate) use opencap::recognise as is_opencap;
 
+use crate::session::formats::poses::without_mark;
 use crate::session::upload::error::{Fault, UploadError};
 use crate::session::upload::raw::RawCamera;
 use crate::session::upload::warnings::Warnings;
@@ -48,10 +49,14 @@ pub(crate) fn recognise(head: &str) -> Option<CalibrationFormat> {
         }
         return (head.contains("<sensor") || head.contains("<chunk")).then_some(F::Agisoft);
     }
+    // OpenCV's own calibration program writes the keys of ROS in its own kind of YAML.
+    if has_line("camera_matrix:") {
+        return Some(F::RosCameraInfo);
+    }
     if start.starts_with("%YAML") || head.contains("!!opencv-matrix") {
         return Some(F::OpenCvYaml);
     }
-    if has_line("camera_matrix:") || has_line("distortion_model:") {
+    if has_line("distortion_model:") {
         return Some(F::RosCameraInfo);
     }
     if start.starts_with('{') {
@@ -78,7 +83,8 @@ impl Calibration {
         use CalibrationFormat as F;
         let text = match format {
             F::OpenCap => "",
-            _ => std::str::from_utf8(bytes).map_err(|_| Fault::Encoding.with("the calibration file is not UTF-8"))?,
+            _ => std::str::from_utf8(without_mark(bytes))
+                .map_err(|_| Fault::Encoding.with("the calibration file is not UTF-8"))?,
         };
         let cameras = match format {
             F::OpenCvYaml => opencv_yaml::read(text)?,

@@ -1,6 +1,6 @@
 //! OpenCV's file storage as EasyMocap writes it: `K_<c>`, `dist_<c>`, `R_<c>` or `Rot_<c>`, `T_<c>`, `H_<c>`, `W_<c>`.
 
-use super::values::{invalid, rows_of, rows_of_axis_angle, size};
+use super::values::{invalid, rows_of, rows_of_rotation, size};
 use super::yaml::{Yaml, parse};
 use crate::session::upload::error::UploadError;
 use crate::session::upload::json::ShortList;
@@ -47,7 +47,7 @@ fn camera(yaml: &Yaml, id: String) -> Result<RawCamera, UploadError> {
     };
     let rotation = match nine("Rot", matrix("Rot")?)? {
         Some(rows) => Some(rows),
-        None => matrix("R")?.and_then(|numbers| rows_of_axis_angle(&numbers).or_else(|| rows_of(&numbers))),
+        None => matrix("R")?.map(|numbers| rows_of_rotation(&format!("R_{id}"), &numbers)).transpose()?,
     };
     let distortion = match matrix("dist")? {
         Some(numbers) => Some(numbers),

@@ -1,4 +1,4 @@
-//! ROS `camera_info`: one camera's intrinsics. K is read and not P, since keypoints refer to the raw image.
+//! ROS `camera_info`, and what OpenCV's calibration program writes under the same keys: one camera's intrinsics. K is read and not P, since keypoints refer to the raw image.
 
 use super::values::{camera_of_image, invalid, rows_of, size};
 use super::yaml::{Yaml, parse};
@@ -48,12 +48,14 @@ pub(super) fn read(file: &str, text: &str) -> Result<RosCamera, UploadError> {
     };
     let matrix = data("camera_matrix").ok_or_else(|| invalid("`camera_matrix` has no `data` of numbers"))?;
     let name = yaml.get("camera_name").and_then(Yaml::text).filter(|name| !name.is_empty());
+    let model = yaml.get("distortion_model").and_then(Yaml::text);
+    let is_fisheye = yaml.get("fisheye_model").and_then(Yaml::number) == Some(1.0);
     let camera = RawCamera {
         width: whole("image_width")?,
         height: whole("image_height")?,
         matrix: Some(rows_of(&matrix).ok_or_else(|| invalid("`camera_matrix` does not have 9 entries"))?),
         distortion: data("distortion_coefficients").map(ShortList),
-        distortion_model: yaml.get("distortion_model").and_then(Yaml::text).map(str::to_owned),
+        distortion_model: model.or(is_fisheye.then_some("fisheye")).map(str::to_owned),
         ..RawCamera::default()
     };
     Ok(RosCamera { camera, file: file.to_owned(), name: name.map(str::to_owned) })

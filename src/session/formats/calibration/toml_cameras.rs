@@ -1,6 +1,6 @@
 //! TOML with one table per camera: Pose2Sim's `Calib.toml`, anipose's and FreeMoCap's calibration, Caliscope's camera array.
 
-use super::values::{invalid, rows_of, rows_of_axis_angle, size};
+use super::values::{invalid, rows_of, rows_of_rotation, size};
 use crate::session::upload::error::{UploadError, shown};
 use crate::session::upload::json::ShortList;
 use crate::session::upload::raw::RawCamera;
@@ -56,7 +56,9 @@ fn camera(key: &str, table: &Table, warnings: &mut Warnings) -> Result<RawCamera
     }
     let image = list("size")?.unwrap_or_default();
     let whole = |i: usize| image.get(i).copied().and_then(size).unwrap_or(0);
-    let rotation = list("rotation")?;
+    // An empty list is that of a camera without a pose.
+    let rotation = list("rotation")?.filter(|numbers| !numbers.is_empty());
+    let rotation = rotation.map(|numbers| rows_of_rotation("`rotation`", &numbers)).transpose().map_err(in_camera)?;
     let translation = list("translation")?.map(|t| in_metres(t, table, warnings));
     Ok(RawCamera {
         width: whole(0),
@@ -64,7 +66,7 @@ fn camera(key: &str, table: &Table, warnings: &mut Warnings) -> Result<RawCamera
         matrix: Some(rows_of(&matrix).ok_or_else(|| in_camera(invalid("`matrix` does not have 9 entries")))?),
         distortion: distortion.map(ShortList),
         distortion_model: is_fisheye.then(|| "fisheye".to_owned()),
-        rotation: rotation.and_then(|r| rows_of_axis_angle(&r).or_else(|| rows_of(&r))),
+        rotation,
         translation: translation.map(ShortList),
         time_offset: None,
         id,

@@ -22,9 +22,18 @@ pub(super) fn pinhole(fx: f64, fy: f64, cx: f64, cy: f64, skew: f64) -> Option<R
 }
 
 /// A rotation matrix from an axis-angle vector, rad.
-pub(super) fn rows_of_axis_angle(axis_angle: &[f64]) -> Option<Rows> {
+fn rows_of_axis_angle(axis_angle: &[f64]) -> Option<Rows> {
     let [x, y, z] = *axis_angle else { return None };
     Some(rows_of_matrix(&rotation::exp(&Vector3::new(x, y, z))))
+}
+
+/// A rotation matrix from an axis-angle vector or nine numbers; `name`: of the field.
+///
+/// # Errors
+/// Another number, such as the four of a quaternion.
+pub(super) fn rows_of_rotation(name: &str, numbers: &[f64]) -> Result<Rows, UploadError> {
+    let rows = rows_of_axis_angle(numbers).or_else(|| rows_of(numbers));
+    rows.ok_or_else(|| invalid(format!("{name} has {} numbers, expected 3 (axis and angle) or 9", numbers.len())))
 }
 
 /// An image size that is a whole number of pixels.

@@ -5,7 +5,7 @@ use crate::session::formats::joints::JointOrder;
 use crate::session::formats::native;
 use crate::session::formats::poses::{
     FoundPoses, FrameContent, ImageTable, PoseDialect, level_hands, read_array, read_caliscope, read_deeplabcut,
-    read_frame, read_list, read_mmpose, read_timestamps,
+    read_frame, read_list, read_mmpose, read_timestamps, without_mark,
 };
 use crate::session::recording::Detection;
 use crate::session::upload::detections::add_frame;
@@ -109,7 +109,7 @@ fn is_document<R: Read + Seek>(members: &mut Members<R>, name: &str) -> Result<b
     let mut head = Vec::new();
     let read = members.open(name)?.take(4096).read_to_end(&mut head);
     read.map_err(crate::session::upload::json::fault_of_io)?;
-    Ok(head.trim_ascii_start().first() == Some(&b'{'))
+    Ok(without_mark(&head).trim_ascii_start().first() == Some(&b'{'))
 }
 
 /// One source per camera of a file, named as in the file, or after the file.

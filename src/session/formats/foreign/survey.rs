@@ -166,7 +166,7 @@ fn kind_of<R: Read + Seek>(members: &mut Members<R>, name: &str) -> Option<FileK
     if head.contains(&0) {
         return None;
     }
-    let head = String::from_utf8_lossy(&head);
+    let head = String::from_utf8_lossy(poses::without_mark(&head));
     let poses = poses::recognise(&head).map(FileKind::Poses);
     poses.or_else(|| calibration::recognise(&head).map(FileKind::Calibration))
 }

@@ -21,3 +21,4 @@ pub(crate) use hands::level_hands;
 pub(crate) use lists::{ImageTable, read_list, read_mmpose};
 pub(crate) use sniff::{PoseDialect, recognise};
 pub(crate) use tables::{read_caliscope, read_deeplabcut, read_timestamps};
+pub(crate) use tool_json::without_mark;

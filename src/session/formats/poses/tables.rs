@@ -4,6 +4,7 @@ use super::found::FoundPoses;
 use super::frame_name::frame_name;
 use super::points::{checked_point, missing};
 use super::time_stamps::TimeStamps;
+use super::tool_json::without_mark;
 use crate::session::formats::joints::JointOrder;
 use crate::session::recording::{Detection, Keypoint};
 use crate::session::upload::error::{Fault, UploadError};
@@ -45,7 +46,8 @@ impl<R: Read> Lines<R> {
                 break;
             }
         }
-        match std::str::from_utf8(&self.line) {
+        let line = if self.n_lines == 1 { without_mark(&self.line) } else { &self.line };
+        match std::str::from_utf8(line) {
             Ok(text) => Ok(Some(text.trim_end_matches(['\r', '\n']).split(',').map(str::trim).collect())),
             Err(_) => Err(Fault::Encoding.with(format!("line {} is not UTF-8", self.n_lines))),
         }

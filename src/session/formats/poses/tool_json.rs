@@ -26,7 +26,7 @@ pub(super) fn standard_json(bytes: &[u8]) -> Cow<'_, [u8]> {
 }
 
 /// The bytes of a text after its byte order mark.
-pub(super) fn without_mark(bytes: &[u8]) -> &[u8] {
+pub(crate) fn without_mark(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix(MARK).unwrap_or(bytes)
 }
 
