@@ -142,6 +142,10 @@ impl CameraFacts {
     }
 }
 
+/// Why a measured length is refused beside given poses.
+const SCALE_OF_POSES: &str =
+    "with given camera poses the scale is theirs; use extrinsics \"estimate\", or leave it out";
+
 impl Options {
     /// The session at the frame rate of the options.
     pub fn at_rate<'s>(&self, session: &'s Session) -> Cow<'s, Session> {
@@ -222,9 +226,7 @@ impl Options {
                     return refuse(format!("{metres} m is not a plausible height of a person; give {min} to {max} m"));
                 }
                 Correction::SetHeight { .. } if self.extrinsics != Extrinsics::Estimate => {
-                    let reason =
-                        "with given camera poses the scale is theirs; use extrinsics \"estimate\", or leave it out";
-                    return refuse(reason.to_owned());
+                    return refuse(SCALE_OF_POSES.to_owned());
                 }
                 _ => {}
             }
@@ -249,6 +251,9 @@ impl Options {
     }
 
     fn check_scale(&self, known: &[CameraFacts]) -> Result<(), PipelineError> {
+        if self.scale != ScaleSource::Body && self.extrinsics != Extrinsics::Estimate {
+            return refuse("/scale", SCALE_OF_POSES);
+        }
         match &self.scale {
             ScaleSource::Body => Ok(()),
             ScaleSource::Height { metres, .. } if !(HEIGHT_RANGE[0]..=HEIGHT_RANGE[1]).contains(metres) => {
@@ -400,6 +405,23 @@ mod tests {
         let refused = options.check(&[camera("a")], &[]).unwrap_err().to_string();
         assert!(refused.starts_with("/sync: ") && refused.contains("\"given\""), "{refused}");
         assert!(options.check(&[camera("a"), camera("b")], &[]).is_ok());
+    }
+
+    /// A height or a distance was ignored without a word where the poses of the cameras are given.
+    #[test]
+    fn a_scale_beside_given_poses_was_ignored() {
+        let camera = |id: &str| CameraFacts { id: id.to_owned(), has_extrinsics: true, has_intrinsics: true };
+        let cameras = [camera("a"), camera("b")];
+        let distance = ScaleSource::CameraDistance { cameras: ["a", "b"].map(str::to_owned), metres: 4.5 };
+        let height = ScaleSource::Height { metres: 1.82, who: "tallest".to_owned() };
+        for scale in [distance, height] {
+            let options = |extrinsics: Extrinsics| Options { extrinsics, scale: scale.clone(), ..Options::default() };
+            assert!(options(Extrinsics::Estimate).check(&cameras, &[]).is_ok());
+            for extrinsics in [Extrinsics::Fixed, Extrinsics::Refine] {
+                let refused = options(extrinsics).check(&cameras, &[]).unwrap_err().to_string();
+                assert!(refused.starts_with("/scale: ") && refused.contains("\"estimate\""), "{refused}");
+            }
+        }
     }
 
     #[test]
