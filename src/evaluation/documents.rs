@@ -5,6 +5,7 @@ use super::error::EvaluationError;
 use super::person_matching::Frames;
 use super::shelf14::{Point, Skeleton};
 use crate::geometry::{Distortion, Intrinsics, Rigid};
+use crate::session::formats::time::FrameRate;
 use crate::session::json_file::read_json_file;
 use crate::session::recording::UpAxis;
 use nalgebra::{Matrix3, Vector3};
@@ -16,6 +17,7 @@ use std::path::Path;
 #[derive(Debug, Clone, Deserialize)]
 pub struct SessionDocument {
     /// Frames per second.
+    #[serde(deserialize_with = "rate")]
     pub fps: f64,
     /// Up axis of the given world.
     pub up_axis: Option<UpAxis>,
@@ -34,13 +36,18 @@ pub struct SessionCamera {
     /// Image height, px.
     pub height: u32,
     #[serde(rename = "K")]
-    matrix: [[f64; 3]; 3],
+    matrix: Option<[[f64; 3]; 3]>,
 }
 
 impl SessionCamera {
-    /// The camera's intrinsics without distortion.
-    pub fn intrinsics(&self) -> Intrinsics {
-        Intrinsics::from_matrix([self.width, self.height], &self.matrix, Distortion::None)
+    /// The camera's intrinsics without distortion; `found`: K by camera of a result, which counts where the session gives none.
+    ///
+    /// # Errors
+    /// [`EvaluationError::Lens`] where neither gives K.
+    pub fn intrinsics(&self, found: &BTreeMap<String, [[f64; 3]; 3]>) -> Result<Intrinsics, EvaluationError> {
+        let matrix = self.matrix.as_ref().or_else(|| found.get(&self.id));
+        let matrix = matrix.ok_or_else(|| EvaluationError::Lens { camera: self.id.clone() })?;
+        Ok(Intrinsics::from_matrix([self.width, self.height], matrix, Distortion::None))
     }
 }
 
@@ -75,6 +82,8 @@ struct PosedCamera {
     translation: Option<[f64; 3]>,
     #[serde(default)]
     units: Unit,
+    #[serde(rename = "K")]
+    matrix: Option<[[f64; 3]; 3]>,
 }
 
 #[derive(Deserialize)]
@@ -118,6 +127,15 @@ pub fn read_cameras(path: &Path) -> Result<BTreeMap<String, Rigid>, EvaluationEr
         Some((camera.id, Rigid { rotation: matrix(&camera.rotation?), translation }))
     };
     Ok(cameras.into_iter().filter_map(posed).collect())
+}
+
+/// Reads K of every camera that has one.
+///
+/// # Errors
+/// [`EvaluationError`] where the file cannot be read.
+pub fn read_matrices(path: &Path) -> Result<BTreeMap<String, [[f64; 3]; 3]>, EvaluationError> {
+    let (CamerasFile::List(cameras) | CamerasFile::Wrapped { cameras }) = read_json_file(path)?;
+    Ok(cameras.into_iter().filter_map(|camera| Some((camera.id, camera.matrix?))).collect())
 }
 
 /// Reads the poses of all people in all frames.
@@ -188,6 +206,11 @@ impl<'de> Deserialize<'de> for Name {
     }
 }
 
+/// A frame rate as an upload may give it.
+fn rate<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    FrameRate::deserialize(deserializer).map(|rate| rate.0)
+}
+
 fn text<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
     #[derive(Deserialize)]
     #[serde(untagged)]
@@ -199,4 +222,21 @@ fn text<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> 
         Either::Text(text) => text,
         Either::Number(number) => number.to_string(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Sessions that a solve accepts: cameras without K, and a rate as a ratio.
+    #[test]
+    fn sessions_without_k_could_not_be_evaluated() {
+        let text = r#"{"fps": "30000/1001", "cameras": [{"id": "a", "width": 640, "height": 480}]}"#;
+        let session: SessionDocument = serde_json::from_str(text).unwrap();
+        assert_eq!(session.fps, 30000.0 / 1001.0);
+        let error = session.cameras[0].intrinsics(&BTreeMap::new()).unwrap_err().to_string();
+        assert!(error.starts_with("camera a: ") && error.contains("add K"), "{error}");
+        let found = [("a".to_owned(), [[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])].into();
+        assert_eq!(session.cameras[0].intrinsics(&found).unwrap().fx, 500.0);
+    }
 }

@@ -43,6 +43,14 @@ pub enum EvaluationError {
         /// Number of identities found.
         found: usize,
     },
+    /// A camera without K, which its errors in pixels need.
+    #[error(
+        "camera {camera}: neither session.json nor cameras.json of the result gives its K, which its error in pixels needs; add K to one of them"
+    )]
+    Lens {
+        /// The camera.
+        camera: String,
+    },
     /// The result contains nothing that can be compared.
     #[error("{}: the folder contains none of cameras.json, keypoints3d.json, poses3d.json and identities.json", result.display())]
     Nothing {

@@ -144,12 +144,14 @@ fn existing(folder: &Path, name: &str) -> Option<PathBuf> {
 
 /// The solved cameras, in the session's order.
 fn camera_pairs(session: &SessionDocument, result: &Path, truth: &Path) -> Result<Vec<CameraPair>, EvaluationError> {
+    let lenses = documents::read_matrices(result)?;
     let (solved, truth) = (documents::read_cameras(result)?, documents::read_cameras(truth)?);
     let pair = |camera: &documents::SessionCamera| {
         let (solved, truth) = (*solved.get(&camera.id)?, *truth.get(&camera.id)?);
-        Some(CameraPair { id: camera.id.clone(), intrinsics: camera.intrinsics(), truth, solved })
+        let with_lens = |intrinsics| CameraPair { id: camera.id.clone(), intrinsics, truth, solved };
+        Some(camera.intrinsics(&lenses).map(with_lens))
     };
-    Ok(session.cameras.iter().filter_map(pair).collect())
+    session.cameras.iter().filter_map(pair).collect()
 }
 
 fn aligned_cameras(pairs: &[CameraPair], truth: &PosesDocument) -> AlignedCameras {
