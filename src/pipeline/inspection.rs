@@ -2,6 +2,7 @@
 //!
 //! Known limit: small baselines and cameras in a row are found only where the session gives `R` and `t`.
 
+use super::passes::synchronisation::Timing;
 use crate::body::detector_noise::keypoint_sigmas;
 use crate::geometry::Rigid;
 use crate::optim::robust::median;
@@ -106,8 +107,11 @@ const LEAST_S: f64 = 0.5;
 /// Inspects a session; `n_threads`: number of cores for the expected time.
 pub fn inspect(session: &Session, n_threads: usize) -> Inspection {
     let cameras: Vec<InspectedCamera> = session.views.iter().map(inspected).collect();
-    let pairs = pairs(session);
-    let groups = groups(session, &pairs);
+    // Frames of two cameras belong together by time, not by number.
+    let timing = Timing::given(session);
+    let timed = timing.applied_to(session);
+    let pairs = pairs(&timed);
+    let groups = groups(&timed, &pairs);
     let mut findings = Vec::new();
     findings.extend(blind_cameras(&cameras));
     findings.extend(split(&groups, &cameras));
@@ -115,7 +119,7 @@ pub fn inspect(session: &Session, n_threads: usize) -> Inspection {
     findings.extend(static_people(session));
     findings.extend(tiny_baselines(&pairs, &cameras));
     findings.extend(in_a_row(session));
-    let expected = expectation(session, &cameras, n_threads);
+    let expected = expectation(&timed, &cameras, n_threads);
     Inspection { cameras, pairs, groups, findings, suspicions: suspicions(session), expected }
 }
 

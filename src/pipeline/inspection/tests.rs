@@ -75,3 +75,16 @@ fn reports_groups_without_shared_frames() {
     assert_eq!(inspection.findings.iter().map(|f| f.code).collect::<Vec<_>>(), ["no_person"]);
     assert_eq!(inspection.groups, [vec!["c0", "c1"], vec!["c2"]]);
 }
+
+/// A camera that was started two seconds late seemed never to see people together with the other.
+#[test]
+fn time_offsets_were_ignored_by_the_inspection() {
+    let mut late = session(&[[0.0; 3], [3.0, 0.0, 0.0]], 200, 5.0);
+    late.views[0].frames[..100].iter_mut().for_each(Vec::clear);
+    late.views[1].frames[50..].iter_mut().for_each(Vec::clear);
+    assert_eq!(codes(&late), ["split"]);
+    late.views[1].time_offset = 100.0 / late.fps;
+    let inspection = inspect(&late, 2);
+    assert_eq!(inspection.pairs[0].frames_together, 50);
+    assert_eq!((inspection.findings.len(), inspection.cameras[1].frames_with_people), (0, 50));
+}
