@@ -14,6 +14,7 @@
 mod clock_rounds;
 mod time_line;
 
+use crate::body::hand::Side;
 use crate::pipeline::camera_clock::{CameraClock, drift_of_rate};
 use crate::pipeline::capture::Capture;
 use crate::pipeline::config::Options;
@@ -92,11 +93,16 @@ impl Timing {
     pub fn add_to(&self, session: &Session, reconstruction: &mut Reconstruction) {
         let clocks = self.clocks(session);
         for (v, (view, clock)) in session.views.iter().zip(&clocks).enumerate() {
-            let synchronous = std::mem::take(&mut reconstruction.identities[v]);
-            reconstruction.identities[v] = retiming::as_recorded(view, synchronous, clock);
+            let no_person = |_| None;
+            let identities = &mut reconstruction.identities[v];
+            *identities = retiming::as_recorded(view, identities, clock, no_person);
             if let Some(repairs) = &mut reconstruction.repairs {
-                let before = std::mem::take(&mut repairs.identities_before[v]);
-                repairs.identities_before[v] = retiming::as_recorded(view, before, clock);
+                let before = &mut repairs.identities_before[v];
+                *before = retiming::as_recorded(view, before, clock, no_person);
+            }
+            if let Some(sources) = &mut reconstruction.hand_sources {
+                let own_hands = |detection| Side::BOTH.map(|side| (detection, side));
+                sources[v] = retiming::as_recorded(view, &sources[v], clock, own_hands);
             }
         }
         for repair in reconstruction.repairs.iter_mut().flat_map(|repairs| &mut repairs.repaired) {

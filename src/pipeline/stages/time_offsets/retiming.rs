@@ -5,7 +5,7 @@ use crate::matching::assignment::assign;
 use crate::matching::normalized::{BODY_SPAN_M, NormalizedDetection, NormalizedView, normalized_views};
 use crate::matching::tracklets::step_distance;
 use crate::pipeline::camera_clock::CameraClock;
-use crate::session::{Detection, FrameIndex, Keypoint, PersonId, Session, View};
+use crate::session::{Detection, FrameIndex, Keypoint, Session, View};
 use nalgebra::Vector2;
 
 /// Detector noise as a share of the apparent size: three times the 1 to 2 % of OpenPose and COCO detectors.
@@ -88,16 +88,18 @@ fn step_to(point: &Keypoint, other: &Keypoint, reach: f64) -> Option<Vector2<f64
     (point.is_present() && other.is_present() && step.norm() <= reach).then_some(step)
 }
 
-/// Moves the persons of a synchronous recording's detections (`[frame][detection]`) to the camera's frame numbers.
-pub fn as_recorded(
+/// Moves what is known of a synchronous recording's detections (`[frame][detection]`) to the camera's frame numbers; `beyond`: of a
+/// detection that lies beyond the time line, by its index in the frame.
+pub fn as_recorded<T: Clone>(
     view: &View,
-    synchronous: Vec<Vec<Option<PersonId>>>,
+    synchronous: &[Vec<T>],
     clock: &CameraClock,
-) -> Vec<Vec<Option<PersonId>>> {
+    beyond: impl Fn(usize) -> T,
+) -> Vec<Vec<T>> {
     let of_frame = |(frame, people): (usize, &Vec<Detection>)| {
         let found = clock.common_frame(frame, synchronous.len()).map(|target| synchronous[target].clone());
-        // Detections beyond the time line have no person.
-        found.filter(|found| found.len() == people.len()).unwrap_or_else(|| vec![None; people.len()])
+        let found = found.filter(|found| found.len() == people.len());
+        found.unwrap_or_else(|| (0..people.len()).map(&beyond).collect())
     };
     view.frames.iter().enumerate().map(of_frame).collect()
 }
@@ -105,6 +107,9 @@ pub fn as_recorded(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::body::hand::Side;
+    use crate::session::PersonId;
+    use crate::session::reconstruction::HandPlace;
     use crate::simulation::{NoiseConfig, Preset, SimulationConfig, simulate};
 
     /// A scene recorded with these offsets and without noise, so that positions are exact to 0.01 px.
@@ -152,11 +157,34 @@ mod tests {
         let moved = retimed(&session, &clocks);
         let numbered = |people: &Vec<Detection>| (0..people.len()).map(|i| Some(PersonId(i))).collect::<Vec<_>>();
         let synchronous: Vec<_> = moved.views[0].frames.iter().map(numbered).collect();
-        let recorded = as_recorded(&session.views[0], synchronous, &clocks[0]);
+        let recorded = as_recorded(&session.views[0], &synchronous, &clocks[0], |_| None);
         for (frame, people) in session.views[0].frames.iter().enumerate() {
             let is_lost = frame + 4 >= session.n_frames;
             let expected = if is_lost { vec![None; people.len()] } else { numbered(people) };
             assert_eq!(recorded[frame], expected, "frame {frame}");
         }
+    }
+
+    /// Where hands are shown stayed at the frames of the time line.
+    #[test]
+    fn hands_stayed_at_frames_of_the_time_line() {
+        let session = recorded(&[4.0]);
+        let view = &session.views[0];
+        let own = |detection: usize| Side::BOTH.map(|side| (detection, side));
+        let exchanged = |detection: usize| [(detection, Side::Right), (detection, Side::Left)];
+        let mut synchronous: Vec<Vec<[HandPlace; 2]>> = retimed(&session, &[4.0, 0.0].map(CameraClock::shifted)).views
+            [0]
+        .frames
+        .iter()
+        .map(|people| (0..people.len()).map(own).collect())
+        .collect();
+        synchronous[30].iter_mut().enumerate().for_each(|(detection, hands)| *hands = exchanged(detection));
+        let recorded = as_recorded(view, &synchronous, &CameraClock::shifted(4.0), own);
+        for (frame, hands) in recorded.iter().enumerate() {
+            assert_eq!(hands.len(), view.frames[frame].len());
+            let expected = |detection: usize| if frame == 26 { exchanged(detection) } else { own(detection) };
+            assert!(hands.iter().enumerate().all(|(d, hands)| *hands == expected(d)), "frame {frame}");
+        }
+        assert!(!recorded[26].is_empty());
     }
 }
