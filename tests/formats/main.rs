@@ -10,3 +10,4 @@ mod speed;
 mod stick_figure;
 mod suspicions;
 mod take;
+mod tool_quirks;
