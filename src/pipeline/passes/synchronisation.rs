@@ -18,6 +18,7 @@ use crate::body::hand::Side;
 use crate::pipeline::camera_clock::{CameraClock, drift_of_rate};
 use crate::pipeline::capture::Capture;
 use crate::pipeline::config::Options;
+use crate::pipeline::error::PipelineError;
 use crate::pipeline::passes::cameras::FinalAdjustment;
 use crate::pipeline::stages::time_offsets::{retiming, whole_frames};
 use crate::progress::{Canceled, Progress};
@@ -122,6 +123,23 @@ impl Timing {
             self.warn_of_uncertainty(session, &solved, &mut reconstruction.report.quality);
         }
         self.warn_of_lost_frames(session, &mut reconstruction.report.quality);
+    }
+
+    /// Refuses clocks by which a camera recorded at another time than the others.
+    ///
+    /// # Errors
+    /// [`PipelineError::Unsolvable`] naming the camera, its offset and the remedy.
+    pub fn require_common_time(&self, session: &Session) -> Result<(), PipelineError> {
+        let losses = time_line::losses(session, &self.clocks(session), &self.offsets);
+        losses.iter().find(|loss| loss.is_of_all_frames()).map_or(Ok(()), |loss| Err(loss.error()))
+    }
+
+    /// Adds a warning for every camera of whose frames many are lost.
+    fn warn_of_lost_frames(&self, session: &Session, quality: &mut Quality) {
+        for loss in time_line::losses(session, &self.clocks(session), &self.offsets) {
+            quality.verdict = quality.verdict.max(Verdict::Warn);
+            quality.reasons.push(loss.sentence());
+        }
     }
 
     /// Adds a warning where offsets of cameras that were placed are too uncertain; of the others none was estimated.

@@ -4,10 +4,9 @@
 //! differences between clocks matter to the solution, so that clocks which agree with each other, whatever their offsets are (a
 //! clock of the day, a recorder that was started later), lose nothing.
 
-use super::Timing;
 use crate::pipeline::camera_clock::CameraClock;
 use crate::pipeline::error::PipelineError;
-use crate::session::reconstruction::{Quality, Verdict};
+use crate::session::reconstruction::TimeOffset;
 use crate::session::{Session, View};
 
 /// Share of a camera's frames with people that may lie beyond the ends of the time line without a word: offsets of a second or two in a
@@ -15,7 +14,7 @@ use crate::session::{Session, View};
 const MAX_LOST: f64 = 0.1;
 
 /// A camera many of whose frames lie beyond the ends of the time line.
-struct Loss<'s> {
+pub(super) struct Loss<'s> {
     view: &'s View,
     /// As reported, s.
     offset: f64,
@@ -44,48 +43,45 @@ fn lost(view: &View, clock: &CameraClock) -> Option<[usize; 2]> {
     (n_lost as f64 > MAX_LOST * n_frames as f64).then_some([n_frames, n_lost])
 }
 
-impl Timing {
-    /// Refuses clocks by which a camera recorded at another time than the others.
-    ///
-    /// # Errors
-    /// [`PipelineError::Unsolvable`] naming the camera, its offset and the remedy.
-    pub fn require_common_time(&self, session: &Session) -> Result<(), PipelineError> {
-        let Some(loss) = self.losses(session).into_iter().find(|loss| loss.n_lost == loss.n_frames) else {
-            return Ok(());
-        };
+/// Cameras many of whose frames lie beyond the ends of the time line; `offsets`: as reported, s.
+pub(super) fn losses<'s>(session: &'s Session, clocks: &[CameraClock], offsets: &[TimeOffset]) -> Vec<Loss<'s>> {
+    let of_view = |((view, clock), offset): ((&'s View, &CameraClock), &TimeOffset)| {
+        lost(view, clock).map(|[n_frames, n_lost]| Loss { view, offset: offset.secs, n_frames, n_lost })
+    };
+    session.views.iter().zip(clocks).zip(offsets).filter_map(of_view).collect()
+}
+
+impl Loss<'_> {
+    /// Whether the camera recorded at another time than the others.
+    pub(super) fn is_of_all_frames(&self) -> bool {
+        self.n_lost == self.n_frames
+    }
+
+    /// Why the recording cannot be solved with such a camera.
+    pub(super) fn error(&self) -> PipelineError {
         let reason = format!(
             "camera {} recorded at another time than the other cameras: with a time offset of {:.3} s all its {} frames with people \
-             lie outside of their {} frames; correct its time_offset_s, or leave the camera out",
-            loss.view.id, loss.offset, loss.n_frames, session.n_frames
+             lie outside of theirs; correct its time_offset_s, or leave the camera out",
+            self.view.id, self.offset, self.n_frames
         );
-        Err(PipelineError::unsolvable("time_offsets_disjoint", &reason, Vec::new()))
+        PipelineError::unsolvable("time_offsets_disjoint", &reason, Vec::new())
     }
 
-    /// Adds a warning for every camera of whose frames many are lost.
-    pub(super) fn warn_of_lost_frames(&self, session: &Session, quality: &mut Quality) {
-        for loss in self.losses(session) {
-            quality.verdict = quality.verdict.max(Verdict::Warn);
-            quality.reasons.push(format!(
-                "camera {}: with a time offset of {:.3} s {} of its {} frames with people lie before or after the recording of the other \
-                 cameras and are not used; correct its time_offset_s, or start all cameras together",
-                loss.view.id, loss.offset, loss.n_lost, loss.n_frames
-            ));
-        }
-    }
-
-    fn losses<'s>(&self, session: &'s Session) -> Vec<Loss<'s>> {
-        let clocks = self.clocks(session);
-        let of_view = |((view, clock), offset): ((&'s View, &CameraClock), f64)| {
-            lost(view, clock).map(|[n_frames, n_lost]| Loss { view, offset, n_frames, n_lost })
-        };
-        let offsets = self.offsets.iter().map(|offset| offset.secs);
-        session.views.iter().zip(&clocks).zip(offsets).filter_map(of_view).collect()
+    /// The reason of a warning.
+    pub(super) fn sentence(&self) -> String {
+        format!(
+            "camera {}: with a time offset of {:.3} s {} of its {} frames with people lie before or after the recording of the other \
+             cameras and are not used; correct its time_offset_s, or start all cameras together",
+            self.view.id, self.offset, self.n_lost, self.n_frames
+        )
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::Timing;
     use super::*;
+    use crate::session::reconstruction::{Quality, Verdict};
     use crate::simulation::{NoiseConfig, Preset, SimulationConfig, simulate};
 
     /// 90 frames of three cameras that see a walking person throughout, with these offsets, s.
