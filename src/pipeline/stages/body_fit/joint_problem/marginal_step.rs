@@ -39,12 +39,6 @@ use rayon::prelude::*;
 /// 0.43, 0.33 and 0.43 of the whole step.
 pub(super) const SHARE: f64 = 0.4;
 
-/// Standard deviation of that share from recording to recording: half of it, so that from none to twice the share is within two of them.
-/// It counts where the step is long: of the ten pairs of Shelf's cameras it is 0.3 to 16 standard deviations of the normal equations long, of
-/// six more than 4. Without it orientations of these pairs were 3.0 times as far off as stated, with it 1.9 times; a share of 0.7 would fit
-/// them best. Of simulated pairs it is at most 1 long.
-pub(super) const SHARE_SIGMA: f64 = 0.2;
-
 /// Rise of the cost over the expected one beyond which a step is not taken, and a rise that never stops it: half of a squared
 /// standard deviation, as the minimisation's last step.
 const MAX_RISE: f64 = 3.0;
