@@ -128,6 +128,15 @@ pub const INTERVAL_95: f64 = 1.96;
 /// Median length of a normal error in two dimensions over its standard deviation per axis: `sqrt(2 ln 2)`.
 pub const MEDIAN_LENGTH_IN_PLANE: f64 = 1.177;
 
+/// Least share of the equations that counts as left over to show the errors.
+const MIN_FREEDOM: f64 = 0.25;
+
+/// Variance of errors over that of the residuals that `n` equations leave of them after determining `p` unknowns:
+/// `n / (n - p)`; one where nothing was seen.
+pub fn variance_per_residual(n: f64, p: f64) -> f64 {
+    if n > 0.0 { n / (n - p).max(MIN_FREEDOM * n) } else { 1.0 }
+}
+
 /// Median and median absolute deviation; zeros for an empty set. Reorders `values`.
 pub fn median_and_spread(values: &mut [f64]) -> (f64, f64) {
     let Some(center) = median(values) else { return (0.0, 0.0) };

@@ -2,12 +2,12 @@
 
 use super::capture::Capture;
 use crate::body::detector_noise::DetectorNoise;
-use crate::geometry::Rigid;
 use crate::geometry::free_network::CameraCovariance;
+use crate::geometry::{Intrinsics, Rigid};
 use crate::session::reconstruction::StageReport;
 use crate::session::recording::Detection;
-use crate::session::{JointTrajectory, PersonTrack, Session};
-use nalgebra::Vector3;
+use crate::session::{JointTrajectory, PersonTrack, Session, View};
+use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -96,7 +96,35 @@ pub struct TrackedPeople<'a> {
     pub points: &'a [JointTrajectory],
 }
 
+/// A camera with a pose.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PosedCamera {
+    /// Its lens.
+    pub intrinsics: Intrinsics,
+    /// Its pose.
+    pub camera_from_world: Rigid,
+}
+
+impl PosedCamera {
+    /// Where a point of the world is in the image, px; `None` behind the camera.
+    pub fn pixel_of(&self, position: &Vector3<f64>) -> Option<Vector2<f64>> {
+        self.intrinsics.pixel_from_camera(&self.camera_from_world.transform(position))
+    }
+}
+
 impl<'a> TrackedPeople<'a> {
+    /// The cameras that have a pose, and by view the index among them.
+    pub fn posed_cameras(&self) -> (Vec<PosedCamera>, Vec<Option<usize>>) {
+        let mut posed = Vec::new();
+        let of_view = |(view, camera): (&View, &Option<Rigid>)| {
+            let camera_from_world = (*camera)?;
+            posed.push(PosedCamera { intrinsics: view.intrinsics, camera_from_world });
+            Some(posed.len() - 1)
+        };
+        let of_views = self.session.views.iter().zip(self.cameras).map(of_view).collect();
+        (posed, of_views)
+    }
+
     /// Every detection of a person in a view: index of the frame, the person's points, and the detection.
     pub fn seen_by(&self, view: usize) -> impl Iterator<Item = (usize, &'a [Option<Vector3<f64>>], &'a Detection)> {
         let frames = &self.session.views[view].frames;

@@ -19,43 +19,35 @@ pub fn acceleration_cost(squared: f64, knee: f64) -> Robust {
     charbonnier(1.0, squared, knee.powi(2))
 }
 
-/// Change between two successive rotation steps, and its derivatives by the right increments of the three rotations.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RotationChange {
-    /// rad per squared frame interval, in the joint's frame.
-    pub value: Vector3<f64>,
-    /// By the increment of the earlier, middle and later rotation.
-    pub jacobians: [Matrix3<f64>; 3],
-}
-
-/// `log(R_a^T R_b)` and `log(R_b^T R_c)`: the steps between three successive rotations, rad.
-fn steps(earlier: &Matrix3<f64>, middle: &Matrix3<f64>, later: &Matrix3<f64>) -> [Vector3<f64>; 2] {
-    [rotation::log(&(earlier.transpose() * middle)), rotation::log(&(middle.transpose() * later))]
-}
-
-/// `log(R_b^T R_c) - log(R_a^T R_b)`: zero for a constant rotation rate; over `dt^2` an angular acceleration.
+/// `log(R_a^T R_b)`: the step between two successive rotations, rad. The difference of two successive steps is zero for a constant
+/// rotation rate; over `dt^2` it is an angular acceleration, in the joint's frame.
 ///
 /// Known limit: steps of more than half a circle within one frame are taken the short way round.
-pub fn rotation_change(earlier: &Matrix3<f64>, middle: &Matrix3<f64>, later: &Matrix3<f64>) -> Vector3<f64> {
-    let [before, after] = steps(earlier, middle, later);
-    after - before
+pub fn rotation_step(earlier: &Matrix3<f64>, later: &Matrix3<f64>) -> Vector3<f64> {
+    rotation::log(&(earlier.transpose() * later))
 }
 
-/// [`rotation_change`] with its derivatives.
-///
-/// Derivatives of `e = log(R_1^T R_2)` (method.md 9.2): `J_r^-1(e)` by the second increment, `-J_r^-1(-e) = -J_r^-1(e)^T` by the
-/// first.
-pub fn linearized_rotation_change(
-    earlier: &Matrix3<f64>,
-    middle: &Matrix3<f64>,
-    later: &Matrix3<f64>,
-) -> RotationChange {
-    let [before, after] = steps(earlier, middle, later);
-    let [of_before, of_after] = [before, after].map(|step| rotation::right_jacobian_inverse(&step));
-    RotationChange {
-        value: after - before,
-        jacobians: [of_before.transpose(), -of_after.transpose() - of_before, of_after],
+/// A [`rotation_step`] `e` with its derivatives by the right increments of the two rotations (method.md 9.2): `J_r^-1(e)` by that of
+/// the later one, `-J_r^-1(-e) = -J_r^-1(e)^T` by that of the earlier one.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LinearRotationStep {
+    /// rad.
+    pub value: Vector3<f64>,
+    /// By the increment of the later rotation.
+    pub by_later: Matrix3<f64>,
+}
+
+impl LinearRotationStep {
+    /// The step between two successive rotations.
+    pub fn new(earlier: &Matrix3<f64>, later: &Matrix3<f64>) -> Self {
+        let value = rotation_step(earlier, later);
+        Self { value, by_later: rotation::right_jacobian_inverse(&value) }
     }
+}
+
+/// Derivatives of the difference of two successive steps, `after - before`, by the increments of the earlier, middle and later rotation.
+pub fn jacobians_of_change(before: &LinearRotationStep, after: &LinearRotationStep) -> [Matrix3<f64>; 3] {
+    [before.by_later.transpose(), -after.by_later.transpose() - before.by_later, after.by_later]
 }
 
 #[cfg(test)]
@@ -67,7 +59,8 @@ mod tests {
     #[test]
     fn constant_rotation_rate_has_no_change() {
         let (start, step) = (rotation::exp(&Vector3::new(0.3, 1.0, -0.2)), rotation::exp(&Vector3::new(0.1, 0.0, 0.3)));
-        assert!(rotation_change(&start, &(start * step), &(start * step * step)).norm() < 1e-12);
+        let [before, after] = [start, start * step].map(|from| rotation_step(&from, &(from * step)));
+        assert!((after - before).norm() < 1e-12 && (before - rotation::log(&step)).norm() < 1e-12);
     }
 
     #[test]
@@ -81,13 +74,14 @@ mod tests {
     fn rotation_derivatives_match_central_differences() {
         let turns = [Vector3::new(0.3, 1.0, -0.2), Vector3::new(0.5, 0.7, 0.1), Vector3::new(-0.1, 0.9, 0.4)];
         let rotations = turns.map(|w| rotation::exp(&w));
-        let jacobians = linearized_rotation_change(&rotations[0], &rotations[1], &rotations[2]).jacobians;
+        let step = |k: usize| LinearRotationStep::new(&rotations[k], &rotations[k + 1]);
+        let jacobians = jacobians_of_change(&step(0), &step(1));
         let jacobian = DMatrix::from_fn(3, 9, |row, column| jacobians[column / 3][(row, column % 3)]);
         assert_derivative(&jacobian, |d| {
             let moved: [Matrix3<f64>; 3] = std::array::from_fn(|k| {
                 rotations[k] * rotation::exp(&Vector3::from_column_slice(&d[3 * k..3 * k + 3]))
             });
-            rotation_change(&moved[0], &moved[1], &moved[2]).as_slice().to_vec()
+            (rotation_step(&moved[1], &moved[2]) - rotation_step(&moved[0], &moved[1])).as_slice().to_vec()
         });
     }
 }

@@ -1,8 +1,8 @@
 //! Given poses of the cameras as a prior of the adjusted ones.
 
-use super::observations::PosedCamera;
 use super::terms::camera_unknowns::POSE;
 use crate::geometry::{Rigid, rotation};
+use crate::pipeline::calibration::PosedCamera;
 use nalgebra::{Vector3, Vector6};
 
 /// Normal prior of the cameras' poses about those given.

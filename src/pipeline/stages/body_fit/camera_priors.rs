@@ -3,11 +3,11 @@
 use super::camera_pose_prior::CameraPosePrior;
 use super::config::KnownCameras;
 use super::focal_prior::FocalPrior;
-use super::observations::PosedCamera;
 use super::terms::camera_unknowns::{CameraUnknowns, FOCAL, POSE};
 use super::terms::unknowns::CameraColumns;
 use crate::geometry::{Rigid, free_network};
 use crate::optim::block_banded::Corner;
+use crate::pipeline::calibration::PosedCamera;
 use nalgebra::{DMatrix, DVector};
 
 /// How many times the joint problem counts what it shows of the cameras, before that has been measured. On realistic noise the mean

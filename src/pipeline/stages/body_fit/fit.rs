@@ -69,7 +69,7 @@ pub fn fit_bodies(
     let first_config = &first_config;
     let context =
         FitContext { model, config, first_config, frame_interval, up, progress, noise, averaged_noise, systems };
-    let mut started = started_people(input, &up, &context)?;
+    let mut started = started_people(input, &context)?;
     let stated = weigh_stated_covariances(&context, &mut started)?;
     let local = if config.correlated_errors { local_noise(&context, &started) } else { None };
     progress.report(0.5, "estimating the keypoint bias of the detector");
@@ -108,31 +108,13 @@ pub fn fit_bodies(
         local.weigh(&mut started);
     }
     progress.report(0.75, "fitting bodies to all observations");
-    let gap_limit = (config.gap_limit_secs / frame_interval).round() as usize;
-    let finish_person = |(track, started): (&PersonTrack, Option<(Observations, StartedMotion)>)| {
-        progress.check()?;
-        let Some((observations, started)) = started else { return Ok(None) };
-        let fitted = match config.latent_motions {
-            true => started.fitted,
-            false => finish_motion(&context, &observations, started, has_changed)?,
-        };
-        let valid = valid_frames(&observations, gap_limit);
-        Ok(Some(PersonFit { person: track.person, first: track.first.0, observations, fitted, valid }))
-    };
-    let people: Vec<_> = input.tracks.par_iter().zip(started).map(finish_person).collect::<Result<_, Canceled>>()?;
-    let mut people: Vec<PersonFit> = people.into_iter().flatten().collect();
+    let mut people = finished_people(input, &context, started, has_changed)?;
     progress.report(0.9, "resolving collisions between bodies");
     let penetration = resolve_collisions(&context, &mut people, config.resolve_collisions, input.session.first_frame)?;
     let camera_covariance = adjusted.as_ref().and_then(|adjusted| adjusted.covariance.clone());
     let camera_covariance = camera_covariance.or_else(|| config.known_covariance.clone());
-    let uncertainty = |person: &PersonFit| motion_uncertainty(&context, person, camera_covariance.as_ref());
-    let uncertainties: Vec<_> = people.par_iter().map(uncertainty).collect();
-    let measures = |(person, uncertainty): (&PersonFit, &Option<MotionUncertainty>)| {
-        let covariance = uncertainty.as_ref().map(|uncertainty| &uncertainty.betas);
-        BodyMeasures::new(&model.surface, &person.fitted.state.betas, covariance, config.sigma_log_scale)
-    };
-    let measures = people.par_iter().zip(&uncertainties).map(measures).collect();
-    let sigmas = uncertainties.into_iter().map(|uncertainty| Some(uncertainty?.joint_sigmas));
+    let described = |person: &PersonFit| described(person, &context, model, camera_covariance.as_ref());
+    let (motions, measures) = people.par_iter().map(described).unzip();
     let focal = adjusted.as_ref().and_then(|adjusted| adjusted.focal.clone());
     let mut report = stage_report(&people, input.tracks.len());
     report.metrics.extend(stated.iter().flat_map(StatedCovariances::metrics));
@@ -140,7 +122,7 @@ pub fn fit_bodies(
     report.metrics.extend(focal.as_ref().map(|focal| ("focal_log_evidence".to_owned(), focal.log_evidence)));
     Ok(FittedBodies {
         report,
-        motions: people.iter().zip(sigmas).map(|(person, sigmas)| body_motion(model, person, sigmas)).collect(),
+        motions,
         measures,
         detector,
         detector_model,
@@ -154,18 +136,53 @@ pub fn fit_bodies(
 /// Observations and first fit of each person, by track.
 fn started_people(
     input: &TrackedPeople,
-    up: &Vector3<f64>,
     context: &FitContext,
 ) -> Result<Vec<Option<(Observations, StartedMotion)>>, Canceled> {
     let start_person = |track: &PersonTrack| {
         context.progress.check()?;
         let mut observations = gather_observations(input, track, context.model);
         if input.session.views.len() == 1 {
-            observations.points = lifted(context.model, &observations, up, context.frame_interval);
+            observations.points = lifted(context.model, &observations, &context.up, context.frame_interval);
         }
         Ok(start_motion(context, &observations)?.map(|started| (observations, started)))
     };
     input.tracks.par_iter().map(start_person).collect()
+}
+
+/// The last fit of each person with a first one, in the order of the tracks.
+fn finished_people(
+    input: &TrackedPeople,
+    context: &FitContext,
+    started: Vec<Option<(Observations, StartedMotion)>>,
+    has_changed: bool,
+) -> Result<Vec<PersonFit>, Canceled> {
+    let gap_limit = (context.config.gap_limit_secs / context.frame_interval).round() as usize;
+    let finish_person = |(track, started): (&PersonTrack, Option<(Observations, StartedMotion)>)| {
+        context.progress.check()?;
+        let Some((observations, started)) = started else { return Ok(None) };
+        let fitted = match context.config.latent_motions {
+            true => started.fitted,
+            false => finish_motion(context, &observations, started, has_changed)?,
+        };
+        let valid = valid_frames(&observations, gap_limit);
+        Ok(Some(PersonFit { person: track.person, first: track.first.0, observations, fitted, valid }))
+    };
+    let people: Vec<_> = input.tracks.par_iter().zip(started).map(finish_person).collect::<Result<_, Canceled>>()?;
+    Ok(people.into_iter().flatten().collect())
+}
+
+/// Motion and measures of a person with their standard deviations, on the `model` without the detector's bias.
+fn described(
+    person: &PersonFit,
+    context: &FitContext,
+    model: &BodyModel,
+    cameras: Option<&CameraCovariance>,
+) -> (BodyMotion, BodyMeasures) {
+    let uncertainty = motion_uncertainty(context, person, cameras);
+    let (sigmas, betas) = uncertainty.map(|MotionUncertainty { joint_sigmas, betas }| (joint_sigmas, betas)).unzip();
+    let scale = context.config.sigma_log_scale;
+    let measures = BodyMeasures::new(&model.surface, &person.fitted.state.betas, betas.as_ref(), scale);
+    (body_motion(model, person, sigmas), measures)
 }
 
 /// Fits each person's body alone, to the run of frames with most pixels and without the motion prior.

@@ -1,6 +1,6 @@
 //! The prior of the cameras' focal lengths in the joint problem, and what became of it.
 
-use super::observations::PosedCamera;
+use crate::pipeline::calibration::PosedCamera;
 use crate::pipeline::focal_spread::{FocalSpread, FoundFactors};
 use crate::session::reconstruction::FocalFactor;
 use nalgebra::{DMatrix, DVector};

@@ -1,12 +1,13 @@
 //! What the session shows of one person, gathered frame by frame.
 
-use super::observations::{ErrorShape, Observations, PixelObservation, PointObservation, PosedCamera, StatedError};
+use super::observations::{ErrorShape, Observations, PixelObservation, PointObservation, StatedError};
 use crate::body::BodyModel;
 use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_profile::DETECTOR;
 use crate::body::hand::rigid_points;
 use crate::estimation::triangulation::triangulate_reweighted;
 use crate::geometry::triangulation::PointObservation as RayToPoint;
+use crate::pipeline::calibration::PosedCamera;
 use crate::pipeline::calibration::TrackedPeople;
 use crate::session::{JointTrajectory, Keypoint, PersonTrack, Session};
 use nalgebra::{Vector2, Vector3};
@@ -14,23 +15,13 @@ use rayon::prelude::*;
 
 /// Gathers the triangulated points and detected pixels of one person over the frames of the person's track.
 pub(super) fn gather_observations(people: &TrackedPeople, track: &PersonTrack, model: &BodyModel) -> Observations {
-    let TrackedPeople { session, noise, cameras, points, .. } = *people;
+    let TrackedPeople { session, noise, points, .. } = *people;
     let points = points.iter().find(|p| p.person == track.person);
     let landmarks = session.landmarks_on(model);
     let rigid = rigid_points(model, session.convention);
-    let camera_of_view: Vec<Option<usize>> = cameras
-        .iter()
-        .scan(0, |n_posed, camera| {
-            *n_posed += usize::from(camera.is_some());
-            Some(camera.map(|_| *n_posed - 1))
-        })
-        .collect();
-    let posed = session.views.iter().zip(cameras).filter_map(|(view, camera)| {
-        camera.map(|camera_from_world| PosedCamera { intrinsics: view.intrinsics, camera_from_world })
-    });
+    let (cameras, camera_of_view) = people.posed_cameras();
     let at_frame = |offset: usize| FrameSource { session, noise, track, points, frame: track.first.0 + offset };
     let n_frames = track.detections.len();
-    let cameras: Vec<PosedCamera> = posed.collect();
     let keypoints: Vec<(usize, usize)> =
         landmarks.iter().enumerate().filter_map(|(k, landmark)| Some((k, (*landmark)?))).chain(rigid.clone()).collect();
     let pixels: Vec<Vec<PixelObservation>> =

@@ -22,7 +22,7 @@ use super::camera_priors::CameraPriors;
 use super::context::FitContext;
 use super::motion_problem::MotionProblem;
 use super::objective::Objective;
-use super::observations::{Observations, PosedCamera};
+use super::observations::Observations;
 use super::person_fit::StartedMotion;
 use super::pixel_residuals::DetectedPixels;
 use super::session_state::SessionState;
@@ -36,6 +36,7 @@ use crate::body::bone_offsets::{BoneOffsets, with_bones};
 use crate::body::detector_offsets::OffsetTable;
 use crate::body::model::Betas;
 use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, Eliminated};
+use crate::pipeline::calibration::PosedCamera;
 use crate::progress::Canceled;
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -201,6 +202,10 @@ impl JointProblem<'_> {
         member: &'b Member,
         pixels: &'b DetectedPixels,
     ) -> MotionProblem<'b> {
+        self.objective(model, member, pixels).problem()
+    }
+
+    fn objective<'b>(&'b self, model: &'b BodyModel, member: &'b Member, pixels: &'b DetectedPixels) -> Objective<'b> {
         let context = FitContext { model, ..*self.context };
         Objective {
             has_bones: true,
@@ -209,7 +214,6 @@ impl JointProblem<'_> {
             shape_prior: [SHAPE_PRIOR, 0.0],
             ..Objective::new(&context, context.config, &member.observations, pixels.source(), Shape::Free)
         }
-        .problem()
     }
 
     /// The model with offsets of the session.
@@ -298,7 +302,8 @@ impl JointProblem<'_> {
     ) -> MotionAndBones {
         let first = self.border_of(member).bones().start;
         let bone = |k: usize| bones[k] + step.border.fixed_rows::<3>(first + 3 * k);
-        (self.problem(self.context.model, member, pixels).moved(state, step), std::array::from_fn(bone))
+        let unknowns = self.objective(self.context.model, member, pixels).unknowns();
+        (unknowns.moved(state, step), std::array::from_fn(bone))
     }
 }
 

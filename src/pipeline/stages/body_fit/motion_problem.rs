@@ -1,6 +1,5 @@
 //! The least-squares problem of one person's motion: the cost of its terms and their Gauss-Newton system.
 
-use super::observations::PosedCamera;
 use super::terms::border_priors::ShapePrior;
 use super::terms::frame::{Landmarks, LinearisedFrame, PosedFrame};
 use super::terms::landmark_jacobian::LinearLandmarks;
@@ -13,6 +12,9 @@ use crate::body::BodyModel;
 use crate::body::kinematics::Pose;
 use crate::body::model::ShapedBody;
 use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, Fill, FramePanel, N_RESTS};
+use crate::pipeline::calibration::PosedCamera;
+use crate::residuals::acceleration::{LinearRotationStep, rotation_step};
+use nalgebra::Matrix3;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -59,8 +61,9 @@ impl MotionProblem<'_> {
         };
         let (frames, (tracked, paths)): (Vec<f64>, (Positions, Positions)) =
             state.poses.par_iter().enumerate().map(frame_cost).unzip();
+        let turns = self.turns(state, rotation_step);
         let over_windows = |term: &dyn WindowTerm| -> f64 {
-            middles(state).map(|middle| term.cost(&Window::new(middle, &state.poses, &tracked))).sum()
+            middles(state).map(|middle| term.cost(&Window::new(middle, &state.poses, &tracked, &turns))).sum()
         };
         let windows = self.window_terms.iter().map(|term| over_windows(term.as_ref()));
         let paths = self.paths.map_or(0.0, |(term, cameras)| term.cost(cameras, &paths));
@@ -111,7 +114,21 @@ impl MotionProblem<'_> {
             (frame, (tracked, paths))
         };
         let (frames, (tracked, paths)) = state.poses.par_iter().enumerate().map(linearised).unzip();
-        LinearisedMotion { frames, tracked, paths }
+        LinearisedMotion { frames, tracked, paths, turns: self.turns(state, LinearRotationStep::new) }
+    }
+
+    /// Steps of the free rotations from each frame to the next, by group.
+    fn turns<T: Send>(
+        &self,
+        state: &MotionState,
+        step: impl Fn(&Matrix3<f64>, &Matrix3<f64>) -> T + Sync,
+    ) -> Vec<Vec<T>> {
+        let from = |frames: &[Pose]| {
+            let (earlier, later) = (&frames[0], &frames[1]);
+            let turn = |&joint: &usize| step(&earlier.rotations[joint], &later.rotations[joint]);
+            self.unknowns.joints.iter().map(turn).collect()
+        };
+        state.poses.par_windows(2).map(from).collect()
     }
 
     /// By frame the landmarks of the paths with derivatives.
@@ -124,11 +141,12 @@ impl MotionProblem<'_> {
     }
 }
 
-/// A motion with derivatives of the landmarks that window terms and paths look at.
+/// A motion with derivatives of the landmarks and the steps from frame to frame that window terms and paths look at.
 struct LinearisedMotion<'a> {
     frames: Vec<LinearisedFrame<'a>>,
     tracked: Vec<LinearLandmarks>,
     paths: Vec<LinearLandmarks>,
+    turns: Vec<Vec<LinearRotationStep>>,
 }
 
 /// Fills a system run by run.
@@ -174,7 +192,8 @@ impl Fill for Filling<'_> {
 impl Filling<'_> {
     /// Adds the window terms of three frames.
     fn add_window(&self, last: usize, panels: &mut [FramePanel], corners: &mut Corners) {
-        let window = Window::new(last - 1, &self.state.poses, &self.linear.tracked);
+        let LinearisedMotion { tracked, turns, .. } = self.linear;
+        let window = Window::new(last - 1, &self.state.poses, tracked, turns);
         self.problem.window_terms.iter().for_each(|term| term.add_to(&window, panels, &mut corners.of_others));
     }
 

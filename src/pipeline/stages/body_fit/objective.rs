@@ -95,6 +95,11 @@ impl<'a> Objective<'a> {
         Border { shape: self.shape, has_bones: self.has_bones, bias: self.bias, cameras: self.cameras }
     }
 
+    /// The joints that rotate, and the border.
+    pub(super) fn unknowns(&self) -> Unknowns<'a> {
+        Unknowns::new(self.observed_joints().chain(self.extra_joints.iter().copied()), self.border())
+    }
+
     /// Factor of a frame's cost.
     pub(super) fn time_weight(&self) -> f64 {
         self.frame_interval * REFERENCE_RATE_HZ
@@ -104,7 +109,7 @@ impl<'a> Objective<'a> {
     pub(super) fn problem(&self) -> MotionProblem<'a> {
         let Self { model, observations, config, frame_interval, .. } = *self;
         let observed = Unknowns::new(self.observed_joints(), self.border());
-        let unknowns = Unknowns::new(observed.joints.iter().chain(self.extra_joints).copied(), self.border());
+        let unknowns = self.unknowns();
         let ranges = joint_ranges_of(model);
         let (n_frames, time_weight) = (observations.points.len(), self.time_weight());
         let robust = RobustAcceleration { knee: config.acceleration_knee, time_weight };

@@ -1,7 +1,8 @@
 //! One person's observations by frame: triangulated points and detected pixels of the body's landmarks.
 
 use super::gaps::{MIN_GAP, gaps};
-use crate::geometry::{Intrinsics, PixelCovariance, Rigid};
+use crate::geometry::PixelCovariance;
+use crate::pipeline::calibration::PosedCamera;
 use nalgebra::{Matrix2, Vector2, Vector3};
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -57,20 +58,6 @@ pub(super) struct StatedError {
     pub covariance: PixelCovariance,
     /// Apparent size of the person, px.
     pub size_px: f64,
-}
-
-/// A camera with a pose.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct PosedCamera {
-    pub intrinsics: Intrinsics,
-    pub camera_from_world: Rigid,
-}
-
-impl PosedCamera {
-    /// Where a point of the world is in the image, px; `None` behind the camera.
-    pub(super) fn pixel_of(&self, position: &Vector3<f64>) -> Option<Vector2<f64>> {
-        self.intrinsics.pixel_from_camera(&self.camera_from_world.transform(position))
-    }
 }
 
 /// All observations of one person.

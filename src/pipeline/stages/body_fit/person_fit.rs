@@ -9,6 +9,7 @@ use super::pixel_residuals::median_distance_px;
 use super::terms::unknowns::{MotionState, Shape};
 use super::window_fit::{FittedWindow, Pass, fit_window, stride};
 use crate::body::kinematics::Pose;
+use crate::pipeline::time_windows::windows;
 use crate::progress::Canceled;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -105,12 +106,6 @@ fn last_passes(context: &FitContext, observations: &Observations, own_shape: boo
 /// Least autocorrelation of the errors of averaged frames with which one step leads from there to the end: real and realistic errors have
 /// 0.7 to 0.9. Of white errors (0.3) a frame says much that averages do not; after one step their joints are 0.6 to 1.4 % farther off.
 const SLOW: f64 = 0.5;
-
-/// Runs of at most `length` frames, their lengths as equal as possible.
-pub(super) fn windows(n_frames: usize, length: usize) -> Vec<Range<usize>> {
-    let count = n_frames.div_ceil(length);
-    (0..count).map(|i| i * n_frames / count..(i + 1) * n_frames / count).collect()
-}
 
 fn n_observations(observations: &Observations, window: &Range<usize>) -> usize {
     window.clone().map(|t| observations.pixels[t].len() + observations.points[t].len()).sum()

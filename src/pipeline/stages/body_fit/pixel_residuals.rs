@@ -7,16 +7,7 @@ use super::terms::unknowns::MotionState;
 use super::terms::whitened_pixels::WhitenedPixels;
 use crate::body::BodyModel;
 use crate::body::kinematics::{landmark_position, posed};
-use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
-
-/// Least share of the equations that counts as left over to show the errors.
-const MIN_FREEDOM: f64 = 0.25;
-
-/// Variance of errors over that of the residuals that `n` equations leave of them after determining `p` unknowns:
-/// `n / (n - p)`; one where nothing was seen.
-pub(super) fn variance_per_residual(n: f64, p: f64) -> f64 {
-    if n > 0.0 { n / (n - p).max(MIN_FREEDOM * n) } else { 1.0 }
-}
+use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median, variance_per_residual};
 
 /// The detector's standard deviation per axis as a share of apparent size, from the median residual.
 ///

@@ -1,8 +1,8 @@
 //! The unknowns that all persons of a session share: offsets of the detector's keypoints, and the cameras.
 
-use super::observations::PosedCamera;
 use super::terms::camera_unknowns::FOCAL;
 use super::terms::unknowns::CameraColumns;
+use crate::pipeline::calibration::PosedCamera;
 use nalgebra::{DVector, Vector3};
 
 /// Values of the unknowns of a session.

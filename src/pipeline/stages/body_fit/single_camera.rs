@@ -3,10 +3,11 @@
 //! An image does not show whether a bone points towards the camera or away from it. Ranges of joints and smoothness decide, and
 //! err; the fit then has the limb mirrored in depth, as sure of itself as if it were right.
 
-use super::observations::{Observations, PosedCamera};
+use super::observations::Observations;
 use crate::body::BodyModel;
 use crate::body::kinematics::{PosedSkeleton, moving_joints};
 use crate::body::skeleton::{N_JOINTS, chain_to_root};
+use crate::pipeline::calibration::PosedCamera;
 use std::ops::Range;
 
 /// The bones of the limbs, which may be mirrored: the joint that turns each, and the one at its end.

@@ -2,13 +2,14 @@
 
 use super::config::BodyFitConfig;
 use super::context::FitContext;
-use super::observations::{ErrorShape, Observations, PixelObservation, PosedCamera};
+use super::observations::{ErrorShape, Observations, PixelObservation};
 use crate::body::BodyModel;
 use crate::body::default_body;
 use crate::body::kinematics::{Pose, PosedSkeleton, landmark_position, posed};
 use crate::body::model::Betas;
 use crate::geometry::{Intrinsics, Rigid, rotation};
 use crate::optim::block_banded::SystemPool;
+use crate::pipeline::calibration::PosedCamera;
 use crate::progress::Progress;
 use nalgebra::{Vector2, Vector3};
 

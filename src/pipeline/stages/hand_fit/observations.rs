@@ -1,8 +1,7 @@
 //! Pixels of a hand's points by frame.
 
 use crate::body::hand::{HandPoint, HandShape, Side, hand_keypoints, hand_points};
-use crate::geometry::{Intrinsics, Rigid};
-use crate::pipeline::calibration::TrackedPeople;
+use crate::pipeline::calibration::{PosedCamera, TrackedPeople};
 use crate::session::{BodyMotion, PersonTrack};
 use nalgebra::Vector2;
 
@@ -17,32 +16,13 @@ pub(super) struct HandPixel {
     pub size_px: f64,
 }
 
-/// A placed camera.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct PlacedCamera {
-    pub intrinsics: Intrinsics,
-    pub camera_from_world: Rigid,
-}
-
 /// Nearest distance of a hand for its apparent size, m.
 const MIN_DEPTH: f64 = 0.2;
-
-/// The placed cameras of a session, and by view the index of its camera.
-pub(super) fn placed_cameras(people: &TrackedPeople) -> (Vec<PlacedCamera>, Vec<Option<usize>>) {
-    let (mut cameras, mut of_views) = (Vec::new(), Vec::new());
-    for (view, camera) in people.session.views.iter().zip(people.cameras) {
-        of_views.push(camera.map(|camera_from_world| {
-            cameras.push(PlacedCamera { intrinsics: view.intrinsics, camera_from_world });
-            cameras.len() - 1
-        }));
-    }
-    (cameras, of_views)
-}
 
 /// Pixels of a person's hand in the frames of the person's motion.
 pub(super) fn hand_pixels(
     people: &TrackedPeople,
-    (cameras, of_views): &(Vec<PlacedCamera>, Vec<Option<usize>>),
+    (cameras, of_views): &(Vec<PosedCamera>, Vec<Option<usize>>),
     motion: &BodyMotion,
     track: &PersonTrack,
     side: Side,
@@ -56,7 +36,7 @@ pub(super) fn hand_pixels(
         let Some(row) = row else { return pixels };
         for (view, (camera, detection)) in of_views.iter().zip(row).enumerate() {
             let (Some(camera), Some(detection)) = (*camera, *detection) else { continue };
-            let PlacedCamera { intrinsics, camera_from_world } = &cameras[camera];
+            let PosedCamera { intrinsics, camera_from_world } = &cameras[camera];
             let depth = camera_from_world.transform(&frame.joints[side.wrist()]).z.max(MIN_DEPTH);
             let size_px = intrinsics.focal() * length / depth;
             let seen = people.session.views[view].frames[index].get(detection);

@@ -1,6 +1,6 @@
 //! The fit of one person's hands, and what is published of it.
 
-use super::observations::{HandPixel, PlacedCamera, hand_pixels, placed_cameras};
+use super::observations::{HandPixel, hand_pixels};
 use super::problem::{Hand, HandProblem, HandState};
 use super::state::{FIRST_ANGLE, FramedHand, Unknowns, Wrist, angles, turn};
 use super::terms::Known;
@@ -11,8 +11,9 @@ use crate::body::model::Betas;
 use crate::body::skeleton::chain_to_root;
 use crate::geometry::rotation::exp;
 use crate::optim::levenberg_marquardt::{Stopping, minimize};
-use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
-use crate::pipeline::calibration::TrackedPeople;
+use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median, variance_per_residual};
+use crate::pipeline::calibration::{PosedCamera, TrackedPeople};
+use crate::pipeline::time_windows::windows;
 use crate::progress::{Canceled, Progress};
 use crate::session::BodyMotion;
 use crate::session::people::{BodyPose, HandMotion, HandPose};
@@ -44,8 +45,8 @@ pub(super) fn with_fingers(
     progress: &Progress,
 ) -> Result<Vec<HandReport>, Canceled> {
     let Some(track) = people.tracks.iter().find(|track| track.person == motion.person) else { return Ok(Vec::new()) };
-    let placed = placed_cameras(people);
-    let pixels = Side::BOTH.map(|side| hand_pixels(people, &placed, motion, track, side));
+    let posed = people.posed_cameras();
+    let pixels = Side::BOTH.map(|side| hand_pixels(people, &posed, motion, track, side));
     let n_seen = |t: &usize| pixels.iter().map(|hand| hand[*t].len()).sum::<usize>();
     if (0..motion.frames.len()).all(|t| n_seen(&t) == 0) {
         return Ok(Vec::new());
@@ -53,13 +54,13 @@ pub(super) fn with_fingers(
     let betas = Betas::from(motion.betas);
     let size = Side::BOTH.map(|side| relative_hand_size(model, side, &betas)).iter().sum::<f64>() / 2.0;
     let fit = PersonHands {
-        cameras: &placed.0,
+        cameras: &posed.0,
         pixels: &pixels,
         wrists: Side::BOTH.map(|side| motion.frames.iter().map(|frame| wrist(frame, side)).collect()),
         frame_interval: people.session.frame_interval(),
         progress,
     };
-    let windows = windows(motion.frames.len());
+    let windows = windows(motion.frames.len(), WINDOW);
     let seen_in = |window: &Range<usize>| window.clone().map(|t| n_seen(&t)).sum::<usize>();
     let best = (0..windows.len()).max_by_key(|&w| (seen_in(&windows[w]), std::cmp::Reverse(w))).unwrap_or(0);
     let first = fit.window(&windows[best], size.max(0.5).ln(), true)?;
@@ -87,14 +88,9 @@ fn wrist(frame: &BodyPose, side: Side) -> Wrist {
     Wrist { place: frame.joints[side.wrist()], rotation }
 }
 
-fn windows(n_frames: usize) -> Vec<Range<usize>> {
-    let count = n_frames.div_ceil(WINDOW).max(1);
-    (0..count).map(|i| i * n_frames / count..(i + 1) * n_frames / count).collect()
-}
-
 /// What the fits of a person's windows share.
 struct PersonHands<'a> {
-    cameras: &'a [PlacedCamera],
+    cameras: &'a [PosedCamera],
     pixels: &'a [Vec<Vec<HandPixel>>; 2],
     wrists: [Vec<Wrist>; 2],
     /// s.
@@ -151,7 +147,7 @@ impl PersonHands<'_> {
             }
         }
         let n = 2.0 * shares.len() as f64 / f64::from(n_frames.max(1));
-        let freedom = (n / (n - UNKNOWNS_PER_FRAME).max(0.25 * n)).sqrt();
+        let freedom = variance_per_residual(n, UNKNOWNS_PER_FRAME).sqrt();
         let [low, high] = SHARE_BOUNDS;
         median(&mut shares).map_or(high, |m| (freedom * m / MEDIAN_LENGTH_IN_PLANE).clamp(low, high))
     }
@@ -163,9 +159,8 @@ impl PersonHands<'_> {
         pixels: &'b [HandPixel],
     ) -> impl Iterator<Item = (f64, f64)> + 'b {
         pixels.iter().filter_map(|seen| {
-            let PlacedCamera { intrinsics, camera_from_world } = &self.cameras[seen.camera];
-            let in_camera = camera_from_world.transform(&framed.hand.point(seen.point));
-            Some(((intrinsics.pixel_from_camera(&in_camera)? - seen.pixel).norm(), seen.size_px))
+            let projected = self.cameras[seen.camera].pixel_of(&framed.hand.point(seen.point))?;
+            Some(((projected - seen.pixel).norm(), seen.size_px))
         })
     }
 

@@ -1,11 +1,12 @@
 //! Both hands of a person over a window of frames, as one least-squares problem: the hands share their size.
 
-use super::observations::{HandPixel, PlacedCamera};
+use super::observations::HandPixel;
 use super::state::{FramedHand, N_UNKNOWNS, Unknowns, Wrist};
 use super::terms::{FrameSystem, Known, add_pixels, smoothness};
 use crate::body::hand::HandShape;
 use crate::optim::block_banded::{BlockBanded, Eliminated};
 use crate::optim::levenberg_marquardt::{LeastSquares, Trial};
+use crate::pipeline::calibration::PosedCamera;
 use nalgebra::{DVector, Matrix3, Vector3};
 
 /// One hand of a window.
@@ -19,7 +20,7 @@ pub(super) struct Hand<'a> {
 /// The problem.
 pub(super) struct HandProblem<'a> {
     pub hands: &'a [Hand<'a>],
-    pub cameras: &'a [PlacedCamera],
+    pub cameras: &'a [PosedCamera],
     /// Standard deviation of a pixel, of the hand's image.
     pub share: f64,
     /// s.

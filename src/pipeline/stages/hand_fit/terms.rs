@@ -1,8 +1,9 @@
 //! The terms of the fit of a hand: pixels, what is known of a hand, smoothness.
 
-use super::observations::{HandPixel, PlacedCamera};
+use super::observations::HandPixel;
 use super::state::{FIRST_ANGLE, FramedHand, N_UNKNOWNS, Unknowns};
 use crate::body::hand::{HingeRange, hinge_ranges, hinges};
+use crate::pipeline::calibration::PosedCamera;
 use crate::residuals::reprojection::pixel_cost;
 use nalgebra::{SMatrix, SVector};
 
@@ -41,12 +42,12 @@ pub(super) fn add_pixels(
     system: &mut FrameSystem,
     framed: &FramedHand,
     pixels: &[HandPixel],
-    cameras: &[PlacedCamera],
+    cameras: &[PosedCamera],
     share: f64,
     with_derivatives: bool,
 ) {
     for seen in pixels {
-        let PlacedCamera { intrinsics, camera_from_world } = &cameras[seen.camera];
+        let PosedCamera { intrinsics, camera_from_world } = &cameras[seen.camera];
         let position = framed.hand.point(seen.point);
         let sigma = share * seen.size_px;
         let at = pixel_cost(intrinsics, camera_from_world, &position, &seen.pixel, sigma, ROBUST_SCALE);

@@ -1,6 +1,6 @@
 //! Derivatives of the fit against differences, and a hand that is found again.
 
-use super::observations::{HandPixel, PlacedCamera};
+use super::observations::HandPixel;
 use super::problem::{Hand, HandProblem, HandState};
 use super::state::{FIRST_ANGLE, FramedHand, N_UNKNOWNS, Unknowns, Wrist};
 use super::terms::{FrameSystem, Known, add_pixels};
@@ -8,17 +8,18 @@ use crate::body::hand::{HandShape, Side, hand_points, hinge_ranges};
 use crate::geometry::rotation::exp;
 use crate::geometry::{Intrinsics, Rigid};
 use crate::optim::levenberg_marquardt::{Stopping, minimize};
+use crate::pipeline::calibration::PosedCamera;
 use crate::progress::Progress;
 use crate::residuals::derivative_check::assert_gradient;
 use nalgebra::{Vector2, Vector3};
 
-fn cameras() -> Vec<PlacedCamera> {
+fn cameras() -> Vec<PosedCamera> {
     let turned = |angle: f64| Rigid {
         rotation: exp(&(Vector3::y() * angle)),
         translation: Vector3::new(0.1 * angle, -1.2, 3.0),
     };
     [-1.0, 0.2, 1.3]
-        .map(|angle| PlacedCamera { intrinsics: Intrinsics::PLAIN, camera_from_world: turned(angle) })
+        .map(|angle| PosedCamera { intrinsics: Intrinsics::PLAIN, camera_from_world: turned(angle) })
         .to_vec()
 }
 
@@ -35,7 +36,7 @@ fn bent(t: usize) -> Unknowns {
     })
 }
 
-fn pixels(t: usize, unknowns: &Unknowns, size: f64, cameras: &[PlacedCamera]) -> Vec<HandPixel> {
+fn pixels(t: usize, unknowns: &Unknowns, size: f64, cameras: &[PosedCamera]) -> Vec<HandPixel> {
     let framed = FramedHand::new(&HandShape::average(Side::Left), &wrist(t), size, unknowns);
     let mut pixels = Vec::new();
     for (camera, placed) in cameras.iter().enumerate() {

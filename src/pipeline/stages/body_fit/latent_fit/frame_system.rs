@@ -1,6 +1,6 @@
 //! The data term in one frame: Geman-McClure costs of the pixels, with derivatives by motion, betas and cameras.
 
-use super::super::observations::{PixelObservation, PosedCamera};
+use super::super::observations::PixelObservation;
 use super::super::terms::camera_unknowns::POSE;
 use super::decoder::{CODE, LatentMotion, MotionDecoder, N_UNKNOWNS};
 use crate::body::BodyModel;
@@ -10,6 +10,7 @@ use crate::body::model::ShapedBody;
 use crate::motion_prior::chart::{Features, N_FEATURES};
 use crate::optim::block_banded::{Corner, FramePanel};
 use crate::optim::robust::{Robust, geman_mcclure};
+use crate::pipeline::calibration::PosedCamera;
 use crate::residuals::reprojection::{linearize, pixel_cost};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 

@@ -8,7 +8,7 @@
 use super::super::camera_priors::CameraPriors;
 use super::super::context::FitContext;
 use super::super::joint_problem::Reduced;
-use super::super::observations::{Observations, PosedCamera};
+use super::super::observations::Observations;
 use super::super::session_state::SessionState;
 use super::super::terms::border_priors::ShapePrior;
 use super::super::terms::term::BorderTerm;
@@ -20,6 +20,7 @@ use crate::body::model::{Betas, ShapedBody};
 use crate::motion_prior::basis::LATENT_DIM;
 use crate::motion_prior::chart::Features;
 use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, FramePanel};
+use crate::pipeline::calibration::PosedCamera;
 use crate::progress::Canceled;
 use nalgebra::{DVector, Matrix3, SVector};
 use rayon::prelude::*;

@@ -242,13 +242,13 @@ fn smoothed(depths: &[f64], frame_interval: f64) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::observations::PosedCamera;
     use super::*;
     use crate::body::default_body;
     use crate::body::joint_ranges::natural_pose;
     use crate::body::kinematics::{landmark_position, posed};
     use crate::body::skeleton::KeypointConvention;
     use crate::geometry::Intrinsics;
+    use crate::pipeline::calibration::PosedCamera;
     use rand::SeedableRng;
 
     /// A camera at eye level whose image stands upright in a world with y up, looking along -z.

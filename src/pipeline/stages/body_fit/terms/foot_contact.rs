@@ -12,7 +12,7 @@ use super::window::{RobustAcceleration, Window};
 use crate::body::kinematics::{landmark_position, posed};
 use crate::body::model::BodyModel;
 use crate::optim::block_banded::{Corner, FramePanel, StripRows};
-use crate::residuals::acceleration::{SECOND_DIFFERENCE, second_difference};
+use crate::residuals::acceleration::{LinearRotationStep, SECOND_DIFFERENCE, second_difference};
 use nalgebra::{Matrix3, Vector3};
 
 /// Median speed of an ankle over CMU's takes, m/s.
@@ -68,7 +68,7 @@ impl FootContact {
     fn add_ankle(
         &self,
         ankle: usize,
-        window: &Window<LinearLandmarks>,
+        window: &Window<LinearLandmarks, LinearRotationStep>,
         panels: &mut [FramePanel],
         corner: &mut Corner,
     ) {
@@ -95,7 +95,7 @@ impl FootContact {
 }
 
 impl WindowTerm for FootContact {
-    fn cost(&self, window: &Window<Vec<Vector3<f64>>>) -> f64 {
+    fn cost(&self, window: &Window<Vec<Vector3<f64>>, Vector3<f64>>) -> f64 {
         let cost = |ankle: usize| {
             let positions = window.tracked.map(|landmarks| landmarks[ankle]);
             self.robust.cost(&(second_difference(positions) * self.scale(ankle, window.middle)))
@@ -103,7 +103,12 @@ impl WindowTerm for FootContact {
         (0..self.sigmas.len()).map(cost).sum()
     }
 
-    fn add_to(&self, window: &Window<LinearLandmarks>, panels: &mut [FramePanel], corner: &mut Corner) {
+    fn add_to(
+        &self,
+        window: &Window<LinearLandmarks, LinearRotationStep>,
+        panels: &mut [FramePanel],
+        corner: &mut Corner,
+    ) {
         (0..self.sigmas.len()).for_each(|ankle| self.add_ankle(ankle, window, panels, corner));
     }
 }

@@ -1,11 +1,11 @@
 //! Blocks of the paths' term in the Gauss-Newton system: from positions of landmarks to the unknowns that move them.
 
-use super::super::observations::PosedCamera;
 use super::camera_unknowns::{FOCAL, POSE};
 use super::landmark_jacobian::{BorderJacobian, LinearLandmarks};
 use super::unknowns::{Border, CameraColumns};
 use super::whitened_pixels::{PathBlocks, PointByCamera, Positions, WhitenedPixels};
 use crate::optim::block_banded::{Corner, FramePanel, StripRows};
+use crate::pipeline::calibration::PosedCamera;
 use nalgebra::Matrix3;
 
 /// The term to second order by positions, and the derivatives of these.

@@ -9,9 +9,7 @@ use super::window::{RobustAcceleration, Window};
 use crate::body::joint_ranges::JointRange;
 use crate::body::skeleton::N_JOINTS;
 use crate::optim::block_banded::{Corner, FramePanel};
-use crate::residuals::acceleration::{
-    SECOND_DIFFERENCE, linearized_rotation_change, rotation_change, second_difference,
-};
+use crate::residuals::acceleration::{LinearRotationStep, SECOND_DIFFERENCE, jacobians_of_change, second_difference};
 use nalgebra::{Matrix3, Vector3};
 
 /// Standard deviations of one frame's accelerations.
@@ -95,7 +93,7 @@ impl Smoothness {
     }
 
     /// Standardised acceleration of the pelvis, and one over its sigma and the squared frame interval.
-    fn pelvis<L>(&self, window: &Window<L>) -> (Vector3<f64>, f64) {
+    fn pelvis<L, T>(&self, window: &Window<L, T>) -> (Vector3<f64>, f64) {
         let scale = 1.0 / (self.frame_interval.powi(2) * self.sigmas[window.middle].pelvis);
         (second_difference(window.poses.map(|pose| pose.translation)) * scale, scale)
     }
@@ -107,24 +105,23 @@ impl Smoothness {
 }
 
 impl WindowTerm for Smoothness {
-    fn cost(&self, window: &Window<Vec<Vector3<f64>>>) -> f64 {
-        let joint_cost = |&(_, joint): &(usize, usize)| {
-            let [a, b, c] = window.poses.map(|pose| &pose.rotations[joint]);
-            self.robust.cost(&(rotation_change(a, b, c) * self.rotation_scale(window.middle, joint)))
+    fn cost(&self, window: &Window<Vec<Vector3<f64>>, Vector3<f64>>) -> f64 {
+        let joint_cost = |&(group, joint): &(usize, usize)| {
+            let [before, after] = window.turns.map(|turns| turns[group]);
+            self.robust.cost(&((after - before) * self.rotation_scale(window.middle, joint)))
         };
         self.robust.cost(&self.pelvis(window).0) + self.rotations.iter().map(joint_cost).sum::<f64>()
     }
 
-    fn add_to(&self, window: &Window<LinearLandmarks>, panels: &mut [FramePanel], _: &mut Corner) {
+    fn add_to(&self, window: &Window<LinearLandmarks, LinearRotationStep>, panels: &mut [FramePanel], _: &mut Corner) {
         let (residual, scale) = self.pelvis(window);
         let jacobians = SECOND_DIFFERENCE.map(|c| Matrix3::identity() * (c * scale));
         self.robust.add_to(&residual, 3 * self.translation, &jacobians, panels);
         for &(group, joint) in &self.rotations {
-            let [a, b, c] = window.poses.map(|pose| &pose.rotations[joint]);
-            let change = linearized_rotation_change(a, b, c);
+            let [before, after] = window.turns.map(|turns| &turns[group]);
             let scale = self.rotation_scale(window.middle, joint);
-            let jacobians = change.jacobians.map(|jacobian| jacobian * scale);
-            self.robust.add_to(&(change.value * scale), 3 * group, &jacobians, panels);
+            let jacobians = jacobians_of_change(before, after).map(|jacobian| jacobian * scale);
+            self.robust.add_to(&((after.value - before.value) * scale), 3 * group, &jacobians, panels);
         }
     }
 }

@@ -7,6 +7,7 @@ use super::frame::{LinearisedFrame, PosedFrame};
 use super::landmark_jacobian::LinearLandmarks;
 use super::window::Window;
 use crate::optim::block_banded::{Corner, FramePanel};
+use crate::residuals::acceleration::LinearRotationStep;
 use nalgebra::Vector3;
 
 /// A term of single frames; its cost is per unit of time weight.
@@ -21,10 +22,15 @@ pub(crate) trait FrameTerm: Sync {
 /// A term of three successive frames; its cost is per unit of time weight.
 pub(crate) trait WindowTerm: Sync {
     /// Cost of one window.
-    fn cost(&self, window: &Window<Vec<Vector3<f64>>>) -> f64;
+    fn cost(&self, window: &Window<Vec<Vector3<f64>>, Vector3<f64>>) -> f64;
 
     /// Adds gradient and Gauss-Newton blocks of one window to its three frames, times the time weight.
-    fn add_to(&self, window: &Window<LinearLandmarks>, panels: &mut [FramePanel], corner: &mut Corner);
+    fn add_to(
+        &self,
+        window: &Window<LinearLandmarks, LinearRotationStep>,
+        panels: &mut [FramePanel],
+        corner: &mut Corner,
+    );
 }
 
 /// A quadratic term of the border alone: of unknowns of the person, or of the whole session.

@@ -2,7 +2,7 @@
 
 use super::super::motion_problem::MotionProblem;
 use super::super::objective::Objective;
-use super::super::observations::{Observations, PosedCamera};
+use super::super::observations::Observations;
 use super::camera_unknowns::{CameraUnknowns, FOCAL};
 use super::data::DataSource;
 use super::noise_process::{NoiseProcess, PathNoise};
@@ -14,6 +14,7 @@ use crate::body::BodyModel;
 use crate::body::kinematics::{landmark_position, posed};
 use crate::geometry::{Rigid, rotation};
 use crate::optim::block_banded::BlockBanded;
+use crate::pipeline::calibration::PosedCamera;
 use crate::residuals::derivative_check::assert_gradient;
 use nalgebra::{DMatrix, DVector, Matrix3xX, Vector3};
 

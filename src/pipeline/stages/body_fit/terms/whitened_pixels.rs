@@ -12,12 +12,13 @@ pub(crate) mod spread;
 
 #[cfg(doc)]
 use super::super::observations::ErrorShape;
-use super::super::observations::{Observations, PosedCamera};
+use super::super::observations::Observations;
 use super::camera_unknowns::{ByCamera, CameraUnknowns, MAX_UNKNOWNS};
 use super::noise_process::{NoiseProcess, PathNoise};
 use super::unknowns::CameraColumns;
 use crate::optim::block_banded::Corner;
 use crate::optim::robust::{geman_mcclure, geman_mcclure_ceiling};
+use crate::pipeline::calibration::PosedCamera;
 use crate::residuals::reprojection::{Reprojection, linearize, residual};
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use rayon::prelude::*;

@@ -5,21 +5,24 @@ use crate::optim::block_banded::FramePanel;
 use crate::residuals::acceleration::acceleration_cost;
 use nalgebra::{Matrix3, Vector3};
 
-/// Three successive frames.
-pub(crate) struct Window<'a, L> {
+/// Three successive frames. `L`: of a landmark's position, `T`: of a joint's step from frame to frame, each with or without derivatives.
+pub(crate) struct Window<'a, L, T> {
     /// Index of the middle frame.
     pub middle: usize,
     pub poses: [&'a Pose; 3],
     /// By frame the landmarks whose paths terms look at, in the order of the problem's list of them: their positions (world, m),
     /// or [`LinearLandmarks`](super::landmark_jacobian::LinearLandmarks).
     pub tracked: [&'a L; 3],
+    /// Steps of the free rotations to the middle frame and from there, by group.
+    pub turns: [&'a [T]; 2],
 }
 
-impl<'a, L> Window<'a, L> {
-    /// The window about frame `middle` of a motion.
-    pub(crate) fn new(middle: usize, poses: &'a [Pose], tracked: &'a [L]) -> Self {
+impl<'a, L, T> Window<'a, L, T> {
+    /// The window about frame `middle` of a motion. `turns`: from each frame to the next.
+    pub(crate) fn new(middle: usize, poses: &'a [Pose], tracked: &'a [L], turns: &'a [Vec<T>]) -> Self {
         let frames = [middle - 1, middle, middle + 1];
-        Self { middle, poses: frames.map(|t| &poses[t]), tracked: frames.map(|t| &tracked[t]) }
+        let (poses, tracked) = (frames.map(|t| &poses[t]), frames.map(|t| &tracked[t]));
+        Self { middle, poses, tracked, turns: [&turns[middle - 1], &turns[middle]] }
     }
 }
 
