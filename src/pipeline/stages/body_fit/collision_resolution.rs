@@ -5,7 +5,7 @@
 
 use super::capsule_overlaps::{BodyOverlap, CapsuleBody, CapsuleOverlap, REACH};
 use super::context::FitContext;
-use super::local_fit::{Refitted, refitted, runs_around};
+use super::local_fit::{refitted, runs_around};
 use super::person_motion::PersonFit;
 use super::terms::collision::Collisions;
 use super::terms::unknowns::MotionState;
@@ -23,9 +23,9 @@ const ROUNDS: usize = 6;
 const STEPS: usize = 3;
 /// Overlaps up to this depth are errors of the capsules against the skin, m.
 const TOLERATED: f64 = 0.01;
-/// An overlap that a person's observations hold in place is tried again once the other person has moved out of a quarter of it:
-/// the other's first step leaves half, and what is left of that answers again as it did.
-const TRIED_AGAIN: f64 = 0.75;
+/// An overlap is tried again where it is less than this share of what it was when it was last tried. What observations hold in place stays,
+/// unless the other person moves out of it.
+const TRIED_AGAIN: f64 = 0.8;
 
 /// Moves overlapping persons apart if `resolve`, and reports the depth of overlaps before and after. `first_frame`: number of
 /// the session's first frame.
@@ -46,13 +46,11 @@ pub(super) fn resolve_collisions(
     }
     let deepest_before = found.deepest.clone();
     let before: Vec<MotionState> = people.iter().map(|person| person.fitted.state.clone()).collect();
-    // By person and frame the depth at which the observations last held an overlap in place, m.
-    let mut held: Vec<Vec<f64>> = found.depths.iter().map(|depths| vec![f64::INFINITY; depths.len()]).collect();
+    // By person and frame the depth of the overlap when it was last tried, m.
+    let mut tried: Vec<Vec<f64>> = found.depths.iter().map(|depths| vec![f64::INFINITY; depths.len()]).collect();
     for _ in 0..if resolve { ROUNDS } else { 0 } {
-        let needs_change = |(depth, held): (&f64, &f64)| *depth > TOLERATED && *depth <= TRIED_AGAIN * held;
-        let runs_of =
-            |(depths, held): (&Vec<f64>, &Vec<f64>)| runs_around(context, depths.iter().zip(held).map(needs_change));
-        let runs: Vec<Vec<Range<usize>>> = found.depths.iter().zip(&held).map(runs_of).collect();
+        let runs_of = |(depths, tried): (&Vec<f64>, &mut Vec<f64>)| runs_around(context, now_tried(depths, tried));
+        let runs: Vec<Vec<Range<usize>>> = found.depths.iter().zip(&mut tried).map(runs_of).collect();
         if runs.iter().all(Vec::is_empty) {
             break;
         }
@@ -62,13 +60,10 @@ pub(super) fn resolve_collisions(
             let state = person.fitted.state.clone();
             refitted(context, &person.observations, &before[k], state, runs, STEPS, collisions)
         };
-        let resolved: Vec<Refitted> =
+        let resolved: Vec<MotionState> =
             people.par_iter().zip(runs).enumerate().map(resolved).collect::<Result<_, Canceled>>()?;
-        for (k, Refitted { state, rejected }) in resolved.into_iter().enumerate() {
-            people[k].fitted.state = state;
-            for t in rejected.into_iter().flatten().filter(|&t| found.depths[k][t] > TOLERATED) {
-                held[k][t] = found.depths[k][t];
-            }
+        for (person, state) in people.iter_mut().zip(resolved) {
+            person.fitted.state = state;
         }
         found = overlaps(context.model, &capsules, people, first_frame);
     }
@@ -80,6 +75,18 @@ pub(super) fn resolve_collisions(
     })
 }
 
+/// Which frames are tried, by their depths now and when they were last tried, which is now where they are.
+fn now_tried(depths: &[f64], last_tried: &mut [f64]) -> Vec<bool> {
+    let is_tried = |(depth, last): (&f64, &mut f64)| {
+        let is_tried = *depth > TOLERATED && *depth <= TRIED_AGAIN * *last;
+        if is_tried {
+            *last = *depth;
+        }
+        is_tried
+    };
+    depths.iter().zip(last_tried).map(is_tried).collect()
+}
+
 /// Fits frames near overlaps to their minimum without regard to these. What a last step lowers the cost by would otherwise hide by how much
 /// resolutions raise it, and those that the observations rule out would pass.
 fn settle(
@@ -89,12 +96,11 @@ fn settle(
     depths: &[Vec<f64>],
 ) -> Result<(), Canceled> {
     let settled = |(person, depths): (&mut PersonFit, &Vec<f64>)| {
-        let runs = runs_around(context, depths.iter().map(|depth| *depth > TOLERATED));
+        let runs = runs_around(context, depths.iter().map(|depth| *depth > TOLERATED).collect());
         let none = vec![Vec::new(); depths.len()];
         let collisions = Collisions { capsules, by_frame: &none, sigma: context.config.overlap_sigma };
         let state = person.fitted.state.clone();
-        person.fitted.state =
-            refitted(context, &person.observations, &state, state.clone(), runs, STEPS, collisions)?.state;
+        person.fitted.state = refitted(context, &person.observations, &state, state.clone(), runs, STEPS, collisions)?;
         Ok(())
     };
     people.par_iter_mut().zip(depths).try_for_each(settled)

@@ -11,7 +11,7 @@ use super::objective::Objective;
 use super::observations::Observations;
 use super::pixel_residuals::DetectedPixels;
 use super::single_camera::SingleCamera;
-use super::terms::collision::Collisions;
+use super::terms::collision::{CollisionTerm, Collisions};
 use super::terms::unknowns::{MotionState, Shape};
 use crate::optim::block_banded::BlockBanded;
 use crate::progress::Canceled;
@@ -24,19 +24,12 @@ const APPROACH_SECS: f64 = 0.5;
 const HELD: usize = 2;
 
 /// The runs around the frames that need a change.
-pub(super) fn runs_around(context: &FitContext, needs_change: impl Iterator<Item = bool>) -> Vec<Range<usize>> {
+pub(super) fn runs_around(context: &FitContext, needs_change: Vec<bool>) -> Vec<Range<usize>> {
     let approach = (APPROACH_SECS / context.frame_interval).round() as usize;
-    runs(&needs_change.collect::<Vec<_>>(), approach.max(HELD + 1), context.window_frames())
+    runs(&needs_change, approach.max(HELD + 1), context.window_frames())
 }
 
-/// A motion whose runs were fitted again.
-pub(super) struct Refitted {
-    pub state: MotionState,
-    /// The runs that the observations ruled out, which are as before.
-    pub rejected: Vec<Range<usize>>,
-}
-
-/// A motion with its runs fitted again to pixels and against collisions, shape held, `steps` steps each. A run is rejected
+/// A motion with its runs fitted again to pixels and against collisions, shape held, `steps` steps each. A run stays as it is
 /// where this raises the other terms too much over those of `before`, the motion fitted without collisions.
 pub(super) fn refitted(
     context: &FitContext,
@@ -46,15 +39,15 @@ pub(super) fn refitted(
     runs: Vec<Range<usize>>,
     steps: usize,
     collisions: Collisions,
-) -> Result<Refitted, Canceled> {
+) -> Result<MotionState, Canceled> {
     // Runs that overlap follow each other, all others are independent.
     let chains: Vec<&[Range<usize>]> = runs.chunk_by(|run, next| next.start < run.end).collect();
-    let of_chain = |chain: &&[Range<usize>]| -> Result<Refitted, Canceled> {
+    let of_chain = |chain: &&[Range<usize>]| -> Result<MotionState, Canceled> {
         let mut system = context.systems.take();
         let first = chain[0].start;
         let whole = first..chain[chain.len() - 1].end;
         let unseen = Unseen::around(context, observations, &state, &whole);
-        let mut refitted = Refitted { state: state.of(&whole), rejected: Vec::new() };
+        let mut refitted = state.of(&whole);
         for run in chain.iter() {
             let own = run.start - first..run.end - first;
             let data = Run {
@@ -63,23 +56,20 @@ pub(super) fn refitted(
                 unseen: unseen.of(run),
                 held: held_frames(run, state.poses.len()),
             };
-            let states = [before.of(run), refitted.state.of(&own)];
-            match fitted_run(context, &data, &states, steps, &mut system)? {
-                Some(moved) => refitted.state.poses[own].copy_from_slice(&moved.poses),
-                None => refitted.rejected.push(run.clone()),
+            let states = [before.of(run), refitted.of(&own)];
+            if let Some(moved) = fitted_run(context, &data, &states, steps, &mut system)? {
+                refitted.poses[own].copy_from_slice(&moved.poses);
             }
         }
         context.systems.put_back([system]);
         Ok(refitted)
     };
-    let of_chains: Vec<Refitted> = chains.par_iter().map(of_chain).collect::<Result<_, Canceled>>()?;
-    let mut rejected = Vec::new();
+    let of_chains: Vec<MotionState> = chains.par_iter().map(of_chain).collect::<Result<_, Canceled>>()?;
     for (chain, refitted) in chains.iter().zip(of_chains) {
         let first = chain[0].start;
-        state.poses[first..first + refitted.state.poses.len()].copy_from_slice(&refitted.state.poses);
-        rejected.extend(refitted.rejected);
+        state.poses[first..first + refitted.poses.len()].copy_from_slice(&refitted.poses);
     }
-    Ok(Refitted { state, rejected })
+    Ok(state)
 }
 
 /// What a run is fitted to.
@@ -128,21 +118,23 @@ fn fitted_run(
 ) -> Result<Option<MotionState>, Canceled> {
     let pixels = DetectedPixels::new(context, observations, start);
     let extra_joints: Vec<usize> = collisions.joints().into_iter().collect();
-    let alone = Objective {
+    let mut problem = Objective {
         speeds: Some(start),
         completion: unseen.completion.as_ref(),
         is_open: &unseen.is_open,
         extra_joints: &extra_joints,
         held,
         ..Objective::new(context, context.config, observations, pixels.source(), Shape::Held)
-    };
-    let problem = Objective { collisions: Some(*collisions), ..alone }.problem();
+    }
+    .problem();
+    let cost_before = problem.cost(before);
+    problem.frame_terms.push(Box::new(CollisionTerm::new(*collisions, &problem.unknowns)));
     let min_decrease = context.config.min_decrease;
     let budget = Budget { max_iterations: steps, min_decrease, damping: DAMPING_FROM_FIT };
     let moved = minimised(context, &problem, start.clone(), budget, system)?.state;
-    let others = alone.problem();
-    let increase = others.cost(&moved) - others.cost(before);
-    let n_frames = collisions.n_frames_with_overlap() as f64 * alone.time_weight();
+    problem.frame_terms.pop();
+    let increase = problem.cost(&moved) - cost_before;
+    let n_frames = collisions.n_frames_with_overlap() as f64 * problem.time_weight;
     Ok((!is_rejected(context, increase, n_frames)).then_some(moved))
 }
 

@@ -6,7 +6,6 @@ use super::context::FitContext;
 use super::motion_problem::MotionProblem;
 use super::observations::Observations;
 use super::terms::border_priors::ShapePrior;
-use super::terms::collision::{CollisionTerm, Collisions};
 use super::terms::completion::Completion;
 use super::terms::data::{DataSource, DataTerm};
 use super::terms::foot_contact::{FootContact, ankles};
@@ -46,8 +45,6 @@ pub(super) struct Objective<'a> {
     pub is_open: &'a [bool],
     /// Joints that the motion prior completes, where it does.
     pub completion: Option<&'a GapCompletion>,
-    /// Overlaps with other persons' bodies.
-    pub collisions: Option<Collisions<'a>>,
     /// Joints that are free although no observation shows them, such as the wrist of an overlapping hand.
     pub extra_joints: &'a [usize],
     /// Frames that stay as they are.
@@ -84,7 +81,6 @@ impl<'a> Objective<'a> {
             speeds: None,
             is_open: &[],
             completion: None,
-            collisions: None,
             extra_joints: &[],
             held: &[],
         }
@@ -128,9 +124,6 @@ impl<'a> Objective<'a> {
         frame_terms.extend(prior.map(|prior| Box::new(prior) as Box<dyn FrameTerm>));
         frame_terms
             .extend(self.completion.map(|gaps| Box::new(Completion::new(gaps, &unknowns)) as Box<dyn FrameTerm>));
-        if let Some(collisions) = self.collisions {
-            frame_terms.push(Box::new(CollisionTerm::new(collisions, &unknowns)));
-        }
 
         let mut smoothness = Smoothness::new(config, &ranges, &unknowns, robust, n_frames, frame_interval);
         let speeds = self.speeds.filter(|_| config.motion_prior);

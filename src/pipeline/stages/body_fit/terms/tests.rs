@@ -8,7 +8,7 @@ use super::super::objective::Objective;
 use super::super::observations::{ErrorShape, Observations, PixelObservation, PointObservation};
 use super::super::test_fixtures::Surroundings;
 use super::border_priors::{BoneLengthPrior, KeypointBiasPrior, ShapePrior};
-use super::collision::Collisions;
+use super::collision::{CollisionTerm, Collisions};
 use super::data::DataSource;
 use super::term::BorderTerm;
 use super::unknowns::{Border, CameraColumns, MotionState, Shape};
@@ -192,9 +192,9 @@ fn gradient_of_the_collision_term_matches_differences() {
         found.capsules[0].clone()
     };
     let by_frame: Vec<_> = fixture.state.poses.iter().map(overlaps).collect();
-    let collisions = Some(Collisions { capsules: &capsules, by_frame: &by_frame, sigma: 0.01 });
-    let objective = fixture.objective(model, DataSource::Points { sigma: 0.5 }, Shape::Held);
-    let mut problem = Objective { collisions, ..objective }.problem();
+    let collisions = Collisions { capsules: &capsules, by_frame: &by_frame, sigma: 0.01 };
+    let mut problem = fixture.objective(model, DataSource::Points { sigma: 0.5 }, Shape::Held).problem();
+    problem.frame_terms.push(Box::new(CollisionTerm::new(collisions, &problem.unknowns)));
     let last = problem.frame_terms.len() - 1;
     keep(&mut problem, Some(last));
     assert_gradient_of(&problem, &fixture.state, |step| problem.cost(&problem.moved(&fixture.state, step)));
