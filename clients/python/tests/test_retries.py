@@ -4,10 +4,12 @@ import hashlib
 import http.server
 import json
 import threading
+import time
 
 import pytest
 
-from wandless import Client, Problem
+from wandless import Client, Problem, check_webhook
+from wandless.__main__ import main
 from wandless._operations import Answer, artifact
 
 SESSION = {"id": "session_1"}
@@ -20,7 +22,7 @@ class Flaky(http.server.BaseHTTPRequestHandler):
     seen: list = []
 
     def do_POST(self):
-        body = self.rfile.read(int(self.headers["Content-Length"]))
+        body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
         self.seen.append((self.path, self.headers.get("Idempotency-Key"), body))
         step = self.plan.pop(0) if self.plan else 200
         if step == "close":
@@ -32,6 +34,8 @@ class Flaky(http.server.BaseHTTPRequestHandler):
         self.send_header("Retry-After", "0.01")
         self.end_headers()
         self.wfile.write(text)
+
+    do_DELETE = do_POST
 
     def log_message(self, *_):
         pass
@@ -66,6 +70,34 @@ def test_refusals_are_not_repeated(flaky):
     with pytest.raises(Problem) as refusal:
         flaky.submit("session_1")
     assert refusal.value.status == 422 and len(Flaky.seen) == 1
+
+
+def test_deletion_whose_answer_was_lost_has_succeeded(flaky):
+    Flaky.plan = ["close", 404]
+    flaky.delete_job("job_1")
+    Flaky.plan = [503, 404]
+    with pytest.raises(Problem):
+        flaky.delete_job("job_2")
+
+
+def test_forged_signature_of_any_characters_is_refused():
+    headers = {"webhook-id": "a", "webhook-timestamp": str(int(time.time())), "webhook-signature": "v1,\xe4 \udcff"}
+    assert not check_webhook("whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw", headers, b"")
+
+
+@pytest.mark.parametrize("words, status, text", [
+    (["nowhere", "out"], 2, "nowhere does not exist"),
+    ([".", "out", "--options", "{"], 2, "not JSON"),
+    ([".", "out", "--server", "http://127.0.0.1:1"], 1, "refused"),
+])
+def test_command_names_the_mistake_in_a_line(words, status, text, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["wandless-submit", *words])
+    monkeypatch.setattr(main.__globals__["Client"].__init__, "__defaults__", ("http://127.0.0.1:8700", None, 5.0, 0.0))
+    try:
+        found = main()
+    except SystemExit as end:
+        found = end.code
+    assert found == status and text in capsys.readouterr().err
 
 
 def test_patience_ends(flaky):

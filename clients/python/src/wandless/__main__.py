@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 
+import httpx
+
 from ._client import Client
-from ._errors import JobFailed, Problem
+from ._errors import DamagedDownload, JobFailed, Problem
 
 
 def main() -> int:
@@ -18,15 +21,21 @@ def main() -> int:
     parser.add_argument("--server", default="http://127.0.0.1:8700")
     parser.add_argument("--options", default="{}", help="options of the job as JSON; the key is read from WANDLESS_KEY")
     arguments = parser.parse_args()
+    if not os.path.exists(arguments.session):
+        parser.error(f"{arguments.session} does not exist")
+    try:
+        options = json.loads(arguments.options)
+    except ValueError as error:
+        parser.error(f"--options is not JSON: {error}")
     with Client(arguments.server) as client:
         try:
             job = client.solve(
                 arguments.session,
-                json.loads(arguments.options),
+                options,
                 on_change=lambda job: print(job["state"], f"{job['progress']['fraction']:.0%}", job["progress"]["stage"]),
             )
             result = client.download(job["id"], arguments.result)
-        except JobFailed as failed:
+        except (JobFailed, DamagedDownload, httpx.TransportError, OSError) as failed:
             print(failed, file=sys.stderr)
             return 1
         except Problem as problem:

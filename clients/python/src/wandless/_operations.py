@@ -67,14 +67,16 @@ def send(request: Request, patience_s: float) -> Operation[Answer]:
     """Sends a request; repeats it for `patience_s` while the service restarts or is busy, if a repetition is harmless."""
     deadline = time.monotonic() + patience_s
     wait_s = 0.2
+    may_be_done = False
     while True:
         answer = yield request
         is_late = time.monotonic() > deadline
         if answer.error is not None:
             if is_late or not request.repeatable:
                 raise answer.error
-        elif answer.status < 400:
-            return answer
+            may_be_done = True
+        elif answer.status < 400 or (answer.status == 404 and request.method == "DELETE" and may_be_done):
+            return answer  # what is gone was deleted by the request whose answer was lost
         elif answer.status not in BUSY or is_late:
             raise Problem.of(answer.status, answer.body)
         else:
