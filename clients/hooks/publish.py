@@ -132,8 +132,8 @@ def handler_of(publisher, secret):
         """Checks the signature and answers at once; the work is done by the publisher."""
 
         def do_POST(self):
-            length = int(self.headers.get("Content-Length") or 0)
-            body = self.rfile.read(length) if length <= MAX_BODY_BYTES else b""
+            length = self.headers.get("Content-Length") or ""
+            body = self.rfile.read(int(length)) if length.isdecimal() and int(length) <= MAX_BODY_BYTES else b""
             if not wandless.check_webhook(secret, dict(self.headers.items()), body):
                 return self.answer(401)
             publisher.take(self.headers["webhook-id"], json.loads(body))

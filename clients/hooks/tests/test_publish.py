@@ -191,6 +191,10 @@ def test_unsigned_calls_are_refused(receiver):
     headers = {"webhook-id": "a", "webhook-timestamp": str(int(time.time())), "webhook-signature": "v1,AAAA"}
     assert httpx.post(url, json=event, headers=headers).status_code == 401
     assert httpx.post(url, json=event).status_code == 401
+    for length in ("-1", "many"):
+        with socket.create_connection(("127.0.0.1", int(url.rsplit(":", 1)[1])), timeout=10) as call:
+            call.sendall(f"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: {length}\r\n\r\n".encode())
+            assert b" 401 " in call.recv(100), length
     assert "job_1" not in log()
 
 
