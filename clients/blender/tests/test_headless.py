@@ -129,6 +129,41 @@ def check_submission(session, work):
         server.wait()
 
 
+def check_cancellation(session):
+    """A cancel while the session is uploaded or submitted leaves no job behind; files of 1970 are packed."""
+    class Client:
+        def __init__(self, when):
+            self.when, self.calls = when, []
+
+        def call(self, name):
+            self.calls.append(name)
+            if name == self.when:
+                work.cancel()
+                work.is_stopped.set()
+
+        def upload(self, session):
+            self.call("upload")
+            return {"id": "session_1"}
+
+        def submit(self, session, options):
+            self.call("submit")
+            return {"id": "job_1", "state": "queued", "progress": {}, "error": None}
+
+        def cancel(self, job):
+            self.calls.append("cancel")
+
+    for when, expected in (("upload", ["upload"]), ("submit", ["upload", "submit", "cancel"])):
+        work = wandless.operators.Submission(Client(when), session, {})
+        work._run()
+        deadline = time.monotonic() + 5
+        while work.client.calls != expected and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert work.client.calls == expected, work.client.calls
+    os.utime(session / "session.json", (0, 0))
+    wandless.service.zipped(session)
+    print("ok cancellation", flush=True)
+
+
 def wait_for(url):
     for _ in range(300):
         try:
@@ -146,5 +181,6 @@ with tempfile.TemporaryDirectory() as folder:
     check_import(folder / "session", folder)
     check_errors(folder / "session", folder)
     check_submission(folder / "session", folder)
+    check_cancellation(folder / "session")
 wandless.unregister()
 assert not hasattr(bpy.types.Scene, "wandless")

@@ -29,7 +29,7 @@ class Submission:
 
     def __init__(self, client, session, options):
         self.client, self.session, self.options = client, session, options
-        self.job, self.is_stopped = None, threading.Event()
+        self.job, self.is_stopped, self.is_canceled = None, threading.Event(), threading.Event()
         self.news = queue.Queue()  # (kind, value): "progress", "done" or "failed"
         self.thread = threading.Thread(target=self._run, daemon=True)
 
@@ -37,8 +37,12 @@ class Submission:
         try:
             self.news.put(("progress", (0.0, "uploading the session")))
             stored = self.client.upload(self.session)
+            if self.is_canceled.is_set():
+                return
             job = self.client.submit(stored["id"], self.options)
             self.job = job["id"]
+            if self.is_canceled.is_set():
+                self.cancel()
             while job["state"] not in service.FINAL and not self.is_stopped.is_set():
                 progress = job["progress"]
                 self.news.put(("progress", (progress["fraction"], progress["message"] or progress["stage"] or job["state"])))
@@ -52,6 +56,12 @@ class Submission:
                 self.news.put(("failed", f"the job is {job['state']}" + (f": {reason}" if reason else "")))
         except Exception as error:  # every end of the thread is shown to the user
             self.news.put(("failed", str(error)))
+
+    def cancel(self):
+        """Cancels the job; one that is not submitted yet will not be, or is canceled by the thread that submits it."""
+        self.is_canceled.set()
+        if self.job:
+            threading.Thread(target=ignoring_errors(lambda: self.client.cancel(self.job)), daemon=True).start()
 
 
 def stop_following():
@@ -167,8 +177,8 @@ class WANDLESS_OT_cancel(bpy.types.Operator):
         work = _work
         stop_following()
         context.scene.wandless.status = "canceled"
-        if work is not None and work.job:
-            threading.Thread(target=ignoring_errors(lambda: work.client.cancel(work.job)), daemon=True).start()
+        if work is not None:
+            work.cancel()
         return {"FINISHED"}
 
 

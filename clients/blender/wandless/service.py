@@ -26,7 +26,8 @@ def zipped(session):
     if not session.is_dir():
         raise ServiceError(f"{session} does not exist; choose the folder of a session")
     packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+    # Files without a time of their own have that of 1970, which a zip cannot state.
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, strict_timestamps=False) as archive:
         for path in sorted(session.rglob("*")):
             name = path.relative_to(session)
             if path.is_file() and name.parts[0] != "gt" and not any(part.startswith(".") for part in name.parts):
