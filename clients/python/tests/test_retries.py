@@ -6,6 +6,7 @@ import json
 import threading
 import time
 
+import httpx
 import pytest
 
 from wandless import Client, Problem, check_webhook
@@ -98,6 +99,14 @@ def test_command_names_the_mistake_in_a_line(words, status, text, monkeypatch, c
     except SystemExit as end:
         found = end.code
     assert found == status and text in capsys.readouterr().err
+
+
+def test_request_that_cannot_be_sent_is_not_repeated(flaky):
+    start = time.monotonic()
+    for server, key in (("127.0.0.1:8700", None), (str(flaky._http.base_url), "a\nb")):
+        with Client(server, key) as client, pytest.raises(httpx.TransportError):
+            client.job("job_1")
+    assert time.monotonic() - start < 5
 
 
 def test_patience_ends(flaky):

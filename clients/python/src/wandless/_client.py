@@ -18,6 +18,8 @@ from ._sources import Body, OnUpload, Source, body_of
 from ._types import Job, Session
 
 T = TypeVar("T")
+#: Errors of a request that was never sent, such as one to an address without http://: a repetition fails in the same way.
+UNSENDABLE = (httpx.UnsupportedProtocol, httpx.LocalProtocolError)
 
 
 class Client:
@@ -212,6 +214,8 @@ class Client:
         content = request.body.chunks() if isinstance(request.body, Body) else request.body
         try:
             answer = self._http.request(request.method, request.path, content=content, headers=request.headers)
+        except UNSENDABLE:
+            raise
         except httpx.TransportError as error:
             return Answer(0, {}, b"", error)
         return Answer(answer.status_code, answer.headers, answer.content)
