@@ -12,8 +12,8 @@ use std::process::{ExitStatus, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
-use tokio::process::{ChildStderr, ChildStdin, ChildStdout, Command};
+use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, AsyncWriteExt, BufReader};
+use tokio::process::{ChildStdin, ChildStdout, Command};
 use tokio::task::JoinHandle;
 use tracing::{Instrument, Level};
 
@@ -40,6 +40,9 @@ const MAX_MESSAGE: usize = 8 << 20;
 
 /// Maximal length of a log line, characters; the rest is cut.
 const MAX_LINE: usize = 2000;
+
+/// Bytes of stderr that are held until a line ends; what is longer counts as several lines.
+const MAX_LINE_BYTES: u64 = 64 << 10;
 
 impl Child {
     /// Starts the program with a command of a child and sends the order; `log` receives every line of its stderr.
@@ -133,15 +136,19 @@ impl Child {
     }
 }
 
-async fn listen(stderr: ChildStderr, ran_out_of_memory: Arc<AtomicBool>, log: impl Fn(&str)) {
-    let mut lines = BufReader::new(stderr).lines();
-    while let Ok(Some(line)) = lines.next_line().await {
+/// Reads stderr to its end, whatever its bytes are: a child whose stderr is not read stands still once the pipe is full.
+async fn listen(stderr: impl AsyncRead + Unpin, ran_out_of_memory: Arc<AtomicBool>, log: impl Fn(&str)) {
+    let (mut stderr, mut bytes) = (BufReader::new(stderr), Vec::new());
+    while let Ok(1..) = (&mut stderr).take(MAX_LINE_BYTES).read_until(b'\n', &mut bytes).await {
+        let line = String::from_utf8_lossy(&bytes);
+        let line = line.trim_end_matches(['\n', '\r']);
         if OUT_OF_MEMORY.iter().any(|message| line.contains(message)) {
             ran_out_of_memory.store(true, Ordering::Relaxed);
         }
-        let line = line.char_indices().nth(MAX_LINE).map_or(&*line, |(end, _)| &line[..end]);
+        let line = line.char_indices().nth(MAX_LINE).map_or(line, |(end, _)| &line[..end]);
         repeat(line);
         log(line);
+        bytes.clear();
     }
 }
 
@@ -170,6 +177,19 @@ fn level_of(line: &str) -> (Level, &str) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::Mutex;
+
+    #[tokio::test]
+    async fn stderr_is_read_to_its_end_whatever_its_bytes() {
+        let mut stderr = b"a \xff b\r\n".to_vec();
+        stderr.extend(vec![b'x'; 3 * MAX_LINE_BYTES as usize]); // no line may fill the memory
+        stderr.extend(b"\nmemory allocation of 80 bytes failed\nlast");
+        let (lines, is_out) = (Mutex::new(Vec::new()), Arc::new(AtomicBool::new(false)));
+        listen(&*stderr, is_out.clone(), |line| lines.lock().unwrap().push(line.to_owned())).await;
+        let lines = lines.into_inner().unwrap();
+        assert_eq!((lines[0].as_str(), lines.last().unwrap().as_str()), ("a \u{fffd} b", "last"));
+        assert!(lines.iter().all(|line| line.len() <= MAX_LINE) && is_out.load(Ordering::Relaxed));
+    }
 
     #[test]
     fn reads_the_level_of_a_log_line() {
