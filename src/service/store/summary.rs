@@ -7,6 +7,8 @@ use crate::session::reconstruction::{CameraReport, ErrorSummary, PersonReport, Q
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 /// Summary of one result.
@@ -112,7 +114,8 @@ impl Summary {
 }
 
 fn read_json<T: DeserializeOwned>(file: PathBuf) -> Result<T, SummaryError> {
-    let value = std::fs::read(&file).and_then(|text| Ok(serde_json::from_slice(&text)?));
+    // As a stream: `people.json` of an hour has hundreds of megabytes.
+    let value = File::open(&file).and_then(|text| Ok(serde_json::from_reader(BufReader::new(text))?));
     value.map_err(|source| SummaryError { file, source })
 }
 
