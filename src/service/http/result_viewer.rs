@@ -84,7 +84,7 @@ impl ResultFolder {
         let manifest_value = read_json(root, "manifest.json")?;
         let manifest: Manifest =
             serde_json::from_value(manifest_value).map_err(|error| not_a_result(root, "manifest.json", &error))?;
-        let quality = read_json(root, "report.json")?["quality"].take();
+        let mut report = read_json(root, "report.json")?;
         let cameras = read_json(root, "cameras.json")?;
         let facts = |camera: &Value| json!({ "id": camera["id"], "has_extrinsics": false, "has_intrinsics": true });
         let facts: Vec<Value> = cameras["cameras"].as_array().into_iter().flatten().map(facts).collect();
@@ -101,7 +101,8 @@ impl ResultFolder {
             "id": JOB, "state": "succeeded", "session": SESSION, "options": manifest.options, "labels": {}, "priority": 0,
             "created_at": time, "started_at": time, "finished_at": time, "attempt": 1,
             "progress": { "stage": "", "stage_index": 0, "stage_count": 0, "fraction": 1.0, "message": "", "eta_s": null },
-            "stage_seconds": {}, "quality": quality, "error": null, "solver_version": manifest.solver_version, "links": {},
+            "stage_seconds": {}, "quality": report["quality"].take(), "suspicions": report["suspicions"].as_array().cloned().unwrap_or_default(),
+            "error": null, "solver_version": manifest.solver_version, "links": {},
         });
         let own = ("manifest.json".to_owned(), "application/json".to_owned());
         let files = manifest.files.into_iter().map(|file| (file.name, file.media_type)).chain([own]).collect();
@@ -230,7 +231,10 @@ mod tests {
         });
         let write = |name: &str, value: Value| std::fs::write(folder.path().join(name), value.to_string()).unwrap();
         write("manifest.json", manifest);
-        write("report.json", json!({ "quality": { "verdict": "pass", "reasons": [] } }));
+        write(
+            "report.json",
+            json!({ "quality": { "verdict": "pass", "reasons": [] }, "suspicions": [{ "code": "rotated" }] }),
+        );
         write("cameras.json", json!({ "cameras": [{ "id": "a" }] }));
         write("secret.json", json!("secret"));
         folder
@@ -253,6 +257,7 @@ mod tests {
             (status, &job["state"], &job["quality"]["verdict"]),
             (StatusCode::OK, &json!("succeeded"), &json!("pass"))
         );
+        assert_eq!(job["suspicions"][0]["code"], "rotated");
         let (_, sessions) = answer("GET", "/v1/sessions", "localhost").await;
         assert_eq!(
             (&sessions["sessions"][0]["frames"], &sessions["sessions"][0]["camera_facts"][0]["id"]),

@@ -64,6 +64,17 @@ export interface Cause {
   file?: string | null
 }
 
+/** A probable mistake in the files. */
+export interface Suspicion {
+  code: string
+  cameras: string[]
+  evidence: string
+  remedy: string
+  /** JSON of the option that repairs it; null where the files must be changed. */
+  suggested_option: string | null
+  applied: boolean
+}
+
 export interface Job {
   id: string
   state: State
@@ -77,6 +88,8 @@ export interface Job {
   progress: Progress | null
   stage_seconds: Record<string, number>
   quality: Quality | null
+  /** Probable mistakes in the files; empty before the job has succeeded. */
+  suspicions: Suspicion[]
   error: Cause | null
   solver_version: string
 }
