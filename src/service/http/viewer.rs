@@ -135,6 +135,13 @@ mod tests {
         assert_eq!((first.status(), again.status()), (StatusCode::OK, StatusCode::NOT_MODIFIED));
     }
 
+    /// Pages of a plain HTTP address other than the loopback have no `randomUUID`: no dialogue opened there.
+    #[test]
+    fn viewer_needs_no_secure_context() {
+        let needs = |asset: &Asset| asset.bytes.windows(10).any(|text| text == b"randomUUID");
+        assert!(!ASSETS.iter().any(needs));
+    }
+
     #[test]
     fn viewer_is_small_and_has_no_inline_code() {
         let bytes: usize = ASSETS.iter().map(|asset| asset.bytes.len()).sum();

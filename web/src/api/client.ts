@@ -89,14 +89,19 @@ export const cancelJob = (id: string) => request(`/v1/jobs/${id}/cancel`, { meth
 export const deleteJob = (id: string) => request(`/v1/jobs/${id}`, { method: 'DELETE' })
 export const deleteSession = (id: string) => request(`/v1/sessions/${id}`, { method: 'DELETE' })
 
+/** A key that no other request has. `crypto.randomUUID` is missing on pages of plain HTTP addresses other than the loopback. */
+function randomKey() {
+  return Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, '0')).join('')
+}
+
 export function startJob(session: string, options: Record<string, unknown>) {
-  const headers = { 'Content-Type': 'application/json', 'Idempotency-Key': crypto.randomUUID() }
+  const headers = { 'Content-Type': 'application/json', 'Idempotency-Key': randomKey() }
   return json<Job>('/v1/jobs', { method: 'POST', headers, body: JSON.stringify({ session, options }) })
 }
 
 /** Submits a job that corrects the people of another one, with its session and options. */
 export function correctJob(corrects: string, corrections: Correction[], labels: Record<string, string>) {
-  const headers = { 'Content-Type': 'application/json', 'Idempotency-Key': crypto.randomUUID() }
+  const headers = { 'Content-Type': 'application/json', 'Idempotency-Key': randomKey() }
   return json<Job>('/v1/jobs', { method: 'POST', headers, body: JSON.stringify({ corrects, options: { corrections }, labels }) })
 }
 

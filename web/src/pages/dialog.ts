@@ -2,8 +2,10 @@
 
 import { button, type Child, el } from '../dom'
 
+let opened = 0
+
 export function openDialog(title: string, ...children: Child[]): HTMLDialogElement {
-  const heading = el('h2', { id: `dialog-${crypto.randomUUID()}` }, title)
+  const heading = el('h2', { id: `dialog-${++opened}` }, title)
   const dialog = el('dialog', { 'aria-labelledby': heading.id }, heading, ...children)
   dialog.addEventListener('close', () => dialog.remove())
   document.body.append(dialog)

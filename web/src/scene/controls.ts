@@ -34,10 +34,16 @@ export class Transport {
         el('span', {}, '◆ identity repaired'),
         el('span', {}, el('i', { class: 'mark repaired' }), 'detection repaired'),
         el('span', {}, el('i', { class: 'mark rejected' }), 'detection rejected')),
-      button('Copy link', () => void navigator.clipboard?.writeText(linkTo(view)).then(() => this.note('link copied')), { class: 'quiet', title: 'Link to this frame, camera and person' }),
+      button('Copy link', () => this.copy(linkTo(view)), { class: 'quiet', title: 'Link to this frame, camera and person' }),
       this.notice,
       button('Shortcuts', showHelp, { class: 'quiet', title: '?' }),
     )
+  }
+
+  /** Copies a link. Pages of plain HTTP addresses other than the loopback have no clipboard: there the link is shown. */
+  private copy(link: string) {
+    if (navigator.clipboard) void navigator.clipboard.writeText(link).then(() => this.note('link copied'))
+    else prompt('Link to this frame, camera and person', link)
   }
 
   /** Shows a short notice for a moment. */
