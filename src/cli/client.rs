@@ -7,6 +7,7 @@ use anyhow::{Context, bail};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::fs::File;
+use std::io::{Read, Write};
 use std::path::Path;
 use std::time::{Duration, Instant};
 use ureq::http::{Response, StatusCode, header};
@@ -18,6 +19,9 @@ pub(super) const WAIT_S: u64 = 30;
 
 /// Time for which a service that does not answer is asked again.
 const RETRY_TIME: Duration = Duration::from_secs(60);
+
+/// Shortest time between two tries.
+const PAUSE: Duration = Duration::from_secs(1);
 
 /// Address of a service, the connections to it and the key.
 pub(super) struct Client {
@@ -178,37 +182,46 @@ impl Client {
         self.with_retries(|| self.get(&format!("/v1/jobs/{job}/{name}")).call())
     }
 
-    /// Downloads one file of a result and checks its digest.
+    /// Downloads one file of a result and checks its digest; a transfer that broke off is repeated for up to [`RETRY_TIME`].
     pub(super) fn download(&self, job: &str, name: &str, sha256: Option<&str>, to: &Path) -> anyhow::Result<()> {
         let path = format!("/v1/jobs/{job}/artifacts/{}", percent_encoded(name));
-        let response = self.get(&path).call().with_context(|| self.server.clone())?;
-        let mut response = self.expect_success(response)?;
-        let etag = response.headers().get(header::ETAG).and_then(|tag| tag.to_str().ok()).map(str::to_owned);
-        let mut file = File::create(to).with_context(|| to.display().to_string())?;
-        std::io::copy(&mut response.body_mut().as_reader(), &mut file).with_context(|| name.to_owned())?;
-        let FileDigest { sha256: found, .. } = digest_file(to)?;
-        // A proxy that compresses answers makes the tag weak.
-        let tag = etag.as_deref().map(|tag| tag.trim_start_matches("W/").trim_matches('"'));
-        if sha256.or(tag).is_some_and(|sha256| sha256 != found) {
-            bail!("{name}: the downloaded file does not match its digest; download it again");
+        let deadline = Instant::now() + RETRY_TIME;
+        loop {
+            let response = self.expect_success(self.answered(|| self.get(&path).call())?)?;
+            let error = match received(response, sha256, to).with_context(|| to.display().to_string())? {
+                Received::Whole => return Ok(()),
+                Received::Broken(error) => error,
+            };
+            if Instant::now() >= deadline {
+                bail!("{name}: {error}");
+            }
+            tracing::warn!(name, error, "the download broke off; trying again");
+            std::thread::sleep(PAUSE);
         }
-        Ok(())
     }
 
-    /// Repeats a request for up to [`RETRY_TIME`] while the service is unavailable.
+    /// The document that a request is answered with, see [`Self::answered`].
     fn with_retries<T: DeserializeOwned>(
         &self,
         ask: impl Fn() -> Result<Response<Body>, ureq::Error>,
     ) -> anyhow::Result<T> {
+        self.document(self.answered(ask)?)
+    }
+
+    /// Repeats a request for up to [`RETRY_TIME`] while the service is unavailable or asks for patience.
+    fn answered(&self, ask: impl Fn() -> Result<Response<Body>, ureq::Error>) -> anyhow::Result<Response<Body>> {
         let deadline = Instant::now() + RETRY_TIME;
         loop {
-            match ask() {
-                Ok(response) if response.status() == StatusCode::SERVICE_UNAVAILABLE && Instant::now() < deadline => {}
-                Ok(response) => return self.document(response),
+            let pause = match ask() {
+                Ok(response) if is_busy(response.status()) && Instant::now() < deadline => retry_after(&response),
+                Ok(response) => return Ok(response),
                 Err(error) if Instant::now() >= deadline => return Err(error).with_context(|| self.server.clone()),
-                Err(error) => tracing::warn!(%error, "the service does not answer; trying again"),
-            }
-            std::thread::sleep(Duration::from_secs(1));
+                Err(error) => {
+                    tracing::warn!(%error, "the service does not answer; trying again");
+                    PAUSE
+                }
+            };
+            std::thread::sleep(pause.min(deadline.saturating_duration_since(Instant::now())).max(PAUSE));
         }
     }
 
@@ -234,10 +247,58 @@ impl Client {
     }
 }
 
+/// Whether the same request can succeed later.
+fn is_busy(status: StatusCode) -> bool {
+    matches!(status, StatusCode::SERVICE_UNAVAILABLE | StatusCode::TOO_MANY_REQUESTS)
+}
+
+/// The time in `Retry-After`.
+fn retry_after(response: &Response<Body>) -> Duration {
+    let seconds = response.headers().get(header::RETRY_AFTER).and_then(|value| value.to_str().ok()?.parse().ok());
+    seconds.map_or(PAUSE, Duration::from_secs)
+}
+
+/// End of a download.
+enum Received {
+    Whole,
+    /// The transfer broke off, or its bytes have another digest.
+    Broken(String),
+}
+
+/// Writes the body of an answer to a file and compares its digest with `sha256`, or with the ETag.
+///
+/// # Errors
+/// When the file cannot be written.
+fn received(mut response: Response<Body>, sha256: Option<&str>, to: &Path) -> std::io::Result<Received> {
+    let etag = response.headers().get(header::ETAG).and_then(|tag| tag.to_str().ok()).map(str::to_owned);
+    let (mut body, mut file) = (response.body_mut().as_reader(), File::create(to)?);
+    let mut buffer = vec![0; 1 << 16];
+    loop {
+        match body.read(&mut buffer) {
+            Ok(0) => break,
+            Ok(n) => file.write_all(&buffer[..n])?,
+            Err(error) => return Ok(Received::Broken(error.to_string())),
+        }
+    }
+    let FileDigest { sha256: found, .. } = digest_file(to)?;
+    // A proxy that compresses answers makes the tag weak.
+    let tag = etag.as_deref().map(|tag| tag.trim_start_matches("W/").trim_matches('"'));
+    Ok(match sha256.or(tag).is_none_or(|sha256| sha256 == found) {
+        true => Received::Whole,
+        false => Received::Broken("the downloaded file does not match its digest".to_owned()),
+    })
+}
+
 /// Percent-encodes a file name by RFC 3986; slashes are kept.
 fn percent_encoded(name: &str) -> String {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"/-._~".contains(&byte);
     name.bytes().map(|b| if plain(b) { char::from(b).to_string() } else { format!("%{b:02X}") }).collect()
+}
+
+/// Reads the URL of a service from the command line.
+pub(super) fn server_url(text: &str) -> Result<String, String> {
+    let has_scheme = ["http://", "https://"].iter().any(|scheme| text.starts_with(scheme));
+    if has_scheme { Ok(text.to_owned()) } else { Err(format!("write it with its scheme: http://{text}")) }
 }
 
 /// Splits a URL into the URL without user information and the password, which must not appear in messages.
@@ -264,6 +325,46 @@ mod tests {
         assert_eq!(split("http://x:wl_a_b@host:8700/base"), of("http://host:8700/base", "wl_a_b"));
         assert_eq!(split("https://wl_a_b@host"), of("https://host", ""));
         assert_eq!(split("x:a@b@host/?q=u:p@c"), of("host/?q=u:p@c", "a@b"));
+    }
+
+    /// Answers one connection after the other, each with the given text.
+    fn serving(answers: Vec<String>) -> String {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        std::thread::spawn(move || {
+            for answer in answers {
+                let (mut stream, _) = listener.accept().unwrap();
+                let _ = stream.read(&mut [0; 4096]).unwrap();
+                stream.write_all(answer.as_bytes()).unwrap();
+            }
+        });
+        format!("http://{address}")
+    }
+
+    #[test]
+    fn a_download_that_broke_off_is_repeated() {
+        let head = "HTTP/1.1 200 OK\r\nConnection: close\r\n";
+        // FIPS 180-2, appendix B.1.
+        let tag = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        let server = serving(vec![
+            "HTTP/1.1 429 Too Many Requests\r\nRetry-After: 1\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+                .to_owned(),
+            format!("{head}ETag: \"{tag}\"\r\nContent-Length: 3\r\n\r\nab"),
+            format!("{head}ETag: \"{tag}\"\r\nContent-Length: 3\r\n\r\nabc"),
+            "HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\nConnection: close\r\n\r\n".to_owned(),
+        ]);
+        let folder = tempfile::tempdir().unwrap();
+        let (client, file) = (Client::new(&server, None), folder.path().join("people.json"));
+        client.download("job_1", "people.json", None, &file).unwrap();
+        assert_eq!(std::fs::read(&file).unwrap(), b"abc");
+        let missing = client.download("job_1", "people.json", None, &file).unwrap_err();
+        assert!(missing.to_string().contains("404"), "{missing}");
+    }
+
+    #[test]
+    fn address_without_scheme_is_named() {
+        assert!(server_url("http://h:1").is_ok() && server_url("https://h").is_ok());
+        assert_eq!(server_url("h:8700").unwrap_err(), "write it with its scheme: http://h:8700");
     }
 
     #[test]

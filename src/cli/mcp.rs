@@ -6,7 +6,7 @@ mod jobs;
 mod messages;
 mod tools;
 
-use super::client::Client;
+use super::client::{Client, server_url};
 use messages::{Answer, INVALID_PARAMS, METHOD_NOT_FOUND, PARSE_ERROR, Request, read_request};
 use serde_json::{Value, json};
 use std::io::{self, BufRead, Write};
@@ -16,7 +16,7 @@ use tools::{TOOLS, call};
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// URL of the service
-    #[arg(long, default_value = "http://127.0.0.1:8700")]
+    #[arg(long, default_value = "http://127.0.0.1:8700", value_parser = server_url)]
     server: String,
     /// API key; an environment variable is not shown in the list of processes, unlike an argument
     #[arg(long, env = "WANDLESS_KEY", hide_env_values = true)]

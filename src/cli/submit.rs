@@ -1,7 +1,7 @@
 //! `wandless submit`: uploads a session, follows its job and downloads the result.
 
 use super::bad_input::BadInput;
-use super::client::{Client, JobAnswer, WAIT_S};
+use super::client::{Client, JobAnswer, WAIT_S, server_url};
 use super::option_flags::OptionArgs;
 use super::output_folder::{publish, require_free, staging_folder};
 use super::progress_display::ProgressDisplay;
@@ -21,7 +21,7 @@ pub(super) struct Args {
     /// Session: a folder, a zip file or a JSON document
     session: PathBuf,
     /// URL of the service
-    #[arg(long, default_value = "http://127.0.0.1:8700")]
+    #[arg(long, default_value = "http://127.0.0.1:8700", value_parser = server_url)]
     server: String,
     /// API key; an environment variable is not shown in the list of processes, unlike an argument
     #[arg(long, env = "WANDLESS_KEY", hide_env_values = true)]
