@@ -2,7 +2,7 @@
 
 use super::bad_input::BadInput;
 use super::serve::layers;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Flags that name a data folder.
 #[derive(Debug, clap::Args)]
@@ -13,6 +13,20 @@ pub(super) struct DataFolder {
     /// TOML file with the settings of the service; the environment variable WANDLESS_DATA overrides it
     #[arg(long)]
     config: Option<PathBuf>,
+}
+
+/// Refuses a data folder that does not exist, for commands that must not create one.
+///
+/// # Errors
+/// [`BadInput`] with the remedy.
+pub(super) fn require_folder(data: &Path) -> Result<(), BadInput> {
+    match data.is_dir() {
+        true => Ok(()),
+        false => {
+            let remedy = "name it with --data or WANDLESS_DATA";
+            Err(BadInput(format!("{}: the data folder does not exist; {remedy}", data.display())))
+        }
+    }
 }
 
 impl DataFolder {

@@ -1,6 +1,7 @@
 //! `wandless key create|list|revoke`: API keys. Works on a data folder whether or not its service is running.
 
 use super::bad_input::BadInput;
+use super::data_folder::require_folder;
 use super::serve::layers;
 use crate::service::store::keys::{self, Scope};
 use crate::service::store::{Store, Tenant};
@@ -54,6 +55,9 @@ async fn act(args: Args) -> anyhow::Result<()> {
     let settings = layers(args.config.as_deref()).and_then(|layers| layers.settings());
     let mut settings = settings.map_err(|error| BadInput(error.to_string()))?;
     settings.data = args.data.unwrap_or(settings.data);
+    if !matches!(args.action, Action::Create { .. }) && settings.store.url == "sqlite:" {
+        require_folder(&settings.data)?; // a mistyped folder would be created, and have no keys
+    }
     let store = Store::open_beside(&settings).await?;
     match args.action {
         Action::Create { tenant, name, scopes } => create(&store, &tenant, &name, &scopes).await?,

@@ -1,8 +1,8 @@
 //! `wandless backup`, `restore`, `verify` and `health`: commands for operators.
 
 use super::bad_input::BadInput;
-use super::client::without_userinfo;
-use super::data_folder::DataFolder;
+use super::client::{server_url, without_userinfo};
+use super::data_folder::{DataFolder, require_folder};
 use super::serve::layers;
 use crate::service::safety;
 use crate::service::settings::Settings;
@@ -48,17 +48,14 @@ pub(super) struct VerifyArgs {
 #[derive(Debug, clap::Args)]
 pub(super) struct HealthArgs {
     /// URL of the service
-    #[arg(long, default_value = "http://127.0.0.1:8700")]
+    #[arg(long, default_value = "http://127.0.0.1:8700", value_parser = server_url)]
     server: String,
 }
 
 /// Runs `backup`.
 pub(super) fn back_up(args: BackupArgs) -> anyhow::Result<()> {
     let data = args.data.path()?;
-    if !data.is_dir() {
-        let remedy = "name it with --data or WANDLESS_DATA";
-        return Err(BadInput(format!("{}: the data folder does not exist; {remedy}", data.display())).into());
-    }
+    require_folder(&data)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let files = runtime.block_on(safety::back_up(&data, &args.to))?;
     println!("{}: {files} files", args.to.display());

@@ -312,6 +312,30 @@ fn commands_beside_a_service_read_its_data_folder() {
     assert!(!place.path().join("wandless-data").exists(), "another folder was made");
 }
 
+/// A nightly backup without the lost session would pass for complete.
+#[test]
+fn backup_names_a_lost_file_and_a_folder_without_database() {
+    if is_of_sqlite_alone("backup") {
+        return;
+    }
+    let (server, place) = (Server::start(), tempfile::tempdir().unwrap());
+    server.upload(10, 1);
+    std::fs::remove_file(server.files("sessions").remove(0)).unwrap();
+    let back_up = |data: &Path| {
+        let output = wandless(&["backup", "--data"], &[data, &place.path().join("nightly")]);
+        assert_eq!(output.status.code(), Some(1));
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let lost = back_up(server.data());
+    assert!(lost.contains("sessions/session_") && lost.contains("missing or damaged"), "{lost}");
+    let none = back_up(&server.data().join("tmp"));
+    assert!(none.contains("wandless.db"), "{none}");
+    assert!(!place.path().join("nightly").exists());
+    let mistyped = place.path().join("mistyped");
+    let output = wandless(&["key", "list", "--data"], &[&mistyped]);
+    assert_eq!((output.status.code(), mistyped.exists()), (Some(2), false), "a folder was made");
+}
+
 #[test]
 fn backup_takes_relative_names_and_includes_bodies() {
     if is_of_sqlite_alone("backup") {

@@ -48,6 +48,7 @@ pub async fn back_up(data: &Path, to: &Path) -> Result<usize, BackupError> {
     for file in named_files(&copied).await? {
         match copy_file(data, staging, &file)? {
             Copied::Complete => files.push(file),
+            Copied::Missing if is_named_now(data, &file).await? => return Err(damaged(&file)),
             Copied::Missing => delete_owner(&copied, &file).await?,
         }
     }
@@ -73,8 +74,10 @@ pub async fn back_up(data: &Path, to: &Path) -> Result<usize, BackupError> {
 /// # Errors
 /// When the file exists or cannot be written, or the database fails.
 pub(in crate::service) async fn copy_database(data: &Path, copy: &Path) -> Result<(), BackupError> {
+    let path = data.join(DATABASE);
+    std::fs::metadata(&path).map_err(|source| BackupError::File { path: path.clone(), source })?;
     private::create_file(copy).map_err(|source| BackupError::File { path: copy.to_owned(), source })?;
-    let database = open(&data.join(DATABASE), false).await?;
+    let database = open(&path, false).await?;
     sqlx::query("VACUUM INTO $1").bind(copy.display().to_string()).execute(&database).await?;
     database.close().await;
     Ok(())
@@ -103,7 +106,7 @@ pub fn restore(from: &Path, data: &Path) -> Result<usize, BackupError> {
     let place = Staging::create(data)?;
     for file in &manifest.files {
         if !is_inside(&file.name) || matches!(copy_file(from, place.path(), file)?, Copied::Missing) {
-            return Err(BackupError::Damaged { name: file.name.clone(), owner: file.owner.clone() });
+            return Err(damaged(file));
         }
     }
     place.publish()?;
@@ -116,9 +119,21 @@ pub(super) fn read_manifest(backup: &Path) -> Result<Manifest, BackupError> {
     serde_json::from_slice(&text).map_err(|source| BackupError::Manifest { path, source })
 }
 
+fn damaged(file: &NamedFile) -> BackupError {
+    BackupError::Damaged { name: file.name.clone(), owner: file.owner.clone() }
+}
+
+/// Whether the database of a data folder still names a file. Rows are deleted before their files: a missing file with a row was lost.
+async fn is_named_now(data: &Path, file: &NamedFile) -> Result<bool, BackupError> {
+    let database = open(&data.join(DATABASE), false).await?;
+    let is_named = named_files(&database).await?.contains(file);
+    database.close().await;
+    Ok(is_named)
+}
+
 enum Copied {
     Complete,
-    /// The file was deleted after the database was copied.
+    /// The file was lost, or deleted after the database was copied.
     Missing,
 }
 
@@ -127,7 +142,7 @@ fn copy_file(from: &Path, to: &Path, file: &NamedFile) -> Result<Copied, BackupE
     match copy(from, to, &file.name)? {
         None => Ok(Copied::Missing),
         Some(sha256) if sha256 == file.sha256 => Ok(Copied::Complete),
-        Some(_) => Err(BackupError::Damaged { name: file.name.clone(), owner: file.owner.clone() }),
+        Some(_) => Err(damaged(file)),
     }
 }
 
