@@ -15,6 +15,7 @@ use crate::service::bodies;
 use crate::service::failpoint::{fault, linger, simulated_job};
 use crate::service::protocol::{JobTask, Message, RUN_JOB};
 use crate::service::queue::job::JobError;
+use crate::service::store::artifacts::digest_file;
 use crate::session::upload::UploadError;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -82,7 +83,20 @@ fn run_task(task: &JobTask, progress: &Progress) -> Result<(), JobError> {
         earlier: &task.earlier,
         out: &task.out,
     };
-    solve(&files, &options, &body, &Watcher::new(&send_scene), progress).map(drop).map_err(job_error)
+    let solved = solve(&files, &options, &body, &Watcher::new(&send_scene), progress);
+    solved.map(drop).map_err(|error| match error {
+        // It was readable when it was accepted: what is wrong now is not the client's fault.
+        SolveError::Upload(_) if has_changed(task) => job_error(SolveError::Changed),
+        error => job_error(error),
+    })
+}
+
+/// Whether the stored upload is missing or has other bytes than those that were accepted.
+fn has_changed(task: &JobTask) -> bool {
+    match digest_file(&task.session) {
+        Ok(digest) => digest.sha256 != task.session_sha256,
+        Err(error) => error.kind() == std::io::ErrorKind::NotFound,
+    }
 }
 
 fn send_scene(scene: ProvisionalScene) {

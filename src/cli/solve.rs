@@ -20,7 +20,7 @@ pub(super) enum SolveError {
     Upload(#[from] UploadError),
     /// The session file differs from the one that the service accepted.
     #[cfg_attr(not(feature = "service"), allow(dead_code))] // only a stored session has an accepted digest
-    #[error("the session file has changed since it was accepted; upload it again")]
+    #[error("the session file is missing or has changed since it was accepted; upload it again")]
     Changed,
     /// The pipeline failed.
     #[error(transparent)]

@@ -2,6 +2,7 @@
 
 use crate::http::{FORM, JSON, ZIP, form};
 use crate::server::Server;
+use crate::store::is_of_sqlite_alone;
 use crate::take::{LONG, take, zipped};
 
 #[test]
@@ -26,6 +27,34 @@ fn accepts_every_form_and_deduplicates_bytes() {
     assert_ne!(other_bytes.json()["id"], session["id"]);
     assert_eq!(server.files("sessions").len(), 2);
     assert_eq!(server.files("tmp").len(), 0);
+}
+
+/// The client's file is whole: what is wrong is on the service's disk, and the same upload repairs it.
+#[test]
+fn same_upload_repairs_a_session_on_a_bad_disk() {
+    if is_of_sqlite_alone("an object is not changed in place") {
+        return;
+    }
+    let server = Server::start();
+    let zip = zipped(&take(10, 1));
+    let id = server.post("/v1/sessions", &[ZIP], &zip).expect(201).json()["id"].as_str().unwrap().to_owned();
+    let stored = server.files("sessions").remove(0);
+    let mut damaged = zip.clone();
+    damaged[zip.len() / 2] ^= 1;
+    for bytes in [Some(damaged.as_slice()), Some(&zip[..100]), None] {
+        match bytes {
+            Some(bytes) => std::fs::write(&stored, bytes).unwrap(),
+            None => std::fs::remove_file(&stored).unwrap(),
+        }
+        server.get(&format!("/v1/sessions/{id}/inspection")).expect_problem(500, "corrupt");
+        let job = server.wait_for_state(&server.submit(&id), "failed");
+        assert_eq!(job["error"]["code"], "session_changed", "{job}");
+        let again = server.post("/v1/sessions", &[ZIP], &zip).expect(200).json();
+        assert_eq!(again["id"], id.as_str());
+        assert_eq!(std::fs::read(&stored).unwrap(), zip);
+    }
+    server.wait_for_state(&server.submit(&id), "succeeded");
+    server.get(&format!("/v1/sessions/{id}/inspection")).expect(200);
 }
 
 #[test]

@@ -5,13 +5,15 @@ use super::body::{GuardedBody, Refused, Spool, Spooled, refuse};
 use super::error::Problem;
 use super::multipart::Multipart;
 use crate::service::failpoint::failpoint;
+use crate::service::store::artifacts::digest_file;
 use crate::service::store::reservation::Reservation;
-use crate::service::store::sessions::{self, Added, SessionSummary};
-use crate::service::store::{Store, Tenant, new_id};
+use crate::service::store::sessions::{self, Added, SessionSummary, StoredSession};
+use crate::service::store::{Store, StoreError, Tenant, new_id};
 use crate::service::validation::{self, ValidationError};
 use crate::session::upload::{Fault, UploadError, UploadErrorKind};
 use axum::body::Body;
 use axum::http::{HeaderMap, StatusCode, header};
+use std::path::PathBuf;
 use tracing::Instrument;
 
 /// Media type of a request body.
@@ -156,10 +158,16 @@ pub(super) async fn unless_refused<T>(body: Result<T, Refused<'_>>) -> Result<T,
     }
 }
 
-/// Validates and stores an upload; bytes that the tenant uploaded before give the stored session.
+/// Validates and stores an upload; bytes that the tenant uploaded before give the stored session, and take the place of its bytes
+/// where the disk has lost or changed those.
 pub(super) async fn keep(app: &App, tenant: &Tenant, received: Received) -> Result<Added, Problem> {
     let spooled = &received.spooled;
     if let Some(session) = sessions::get_by_sha256(&app.store, tenant, &spooled.sha256).await? {
+        if !has_its_bytes(&app.store, &session).await? {
+            tracing::warn!(session.id, "the stored bytes of a session were damaged; the same upload has replaced them");
+            name(received.spooled, app.store.folders.session(&session.id)).await?;
+            app.store.blobs.take_session(&session.id, &session.summary.sha256).await?;
+        }
         return Ok(Added { session, is_new: false });
     }
     failpoint("upload.spooled");
@@ -191,13 +199,8 @@ async fn record(
     max_bytes: i64,
 ) -> Result<Added, Problem> {
     let Received { spooled, reservation: _until_the_row_exists } = received;
-    let folders = store.folders.clone();
-    let kept = tokio::task::spawn_blocking(move || -> Result<_, Problem> {
-        let id = new_id("session");
-        spooled.file.keep_as(&folders.session(&id)).map_err(|e| Problem::from_io(&e))?;
-        Ok(id)
-    });
-    let id = kept.await.map_err(Problem::internal)??;
+    let id = new_id("session");
+    name(spooled, store.folders.session(&id)).await?;
     store.blobs.take_session(&id, &summary.sha256).await?;
     let added = sessions::add(store, tenant, &id, summary, max_bytes).await;
     failpoint("upload.recorded");
@@ -214,6 +217,26 @@ async fn record(
         }
     }
     Ok(added?)
+}
+
+/// Makes an upload durable under its final name.
+async fn name(spooled: Spooled, path: PathBuf) -> Result<(), Problem> {
+    let kept = tokio::task::spawn_blocking(move || spooled.file.keep_as(&path));
+    kept.await.map_err(Problem::internal)?.map_err(|error| Problem::from_io(&error))
+}
+
+/// Whether the stored bytes of a session are those of its upload.
+pub(super) async fn has_its_bytes(store: &Store, session: &StoredSession) -> Result<bool, Problem> {
+    let sha256 = session.summary.sha256.clone();
+    let file = match store.blobs.session(&session.id, &sha256).await {
+        Err(StoreError::BlobDamaged { .. }) => return Ok(false),
+        file => file?,
+    };
+    let compared = tokio::task::spawn_blocking(move || {
+        let file = file; // the whole value: the file exists as long as it does
+        digest_file(&file.path).is_ok_and(|digest| digest.sha256 == sha256)
+    });
+    compared.await.map_err(Problem::internal)
 }
 
 /// Describes a rejected upload to the client.
