@@ -4,7 +4,7 @@ use super::access::Caller;
 use super::conditions::{is_unchanged, require_match};
 use super::error::Problem;
 use super::extract::{ApiPath, JobPath};
-use super::results::{FileRequest, disposition, no_such_file, published_fence};
+use super::results::{FileRequest, disposition, no_such_file, published_fence, replaced};
 use crate::service::metrics::Held;
 use crate::service::store::artifacts::{self, Artifact};
 use axum::body::{Body, Bytes};
@@ -36,6 +36,9 @@ pub(super) async fn get(ApiPath(JobPath { id }): ApiPath<JobPath>, request: File
     let FileRequest { app, caller: Caller { tenant }, headers } = request;
     let result_fence = published_fence(&app, &tenant, &id).await?;
     let files = artifacts::list(&app.store, &id).await?;
+    if published_fence(&app, &tenant, &id).await? != result_fence {
+        return Err(replaced()); // the list can be that of the result with further formats
+    }
     // The manifest lists the digests of all other files.
     let manifest = files.iter().find(|file| file.name == "manifest.json").ok_or_else(|| no_such_file(&id))?;
     let tag = format!("\"{}.zip\"", manifest.sha256);
