@@ -103,7 +103,7 @@ class AsyncClient:
         return await self._run(operations.wait(job, on_change, self.patience_s))
 
     async def events(self, job: str) -> AsyncIterator[tuple[str, Any]]:
-        """The events of a job, pairs of name (`state`, `progress`, `log`) and data, until it ends."""
+        """The events of a job, pairs of name (`state`, `progress`, `scene`, `log`) and data, until it ends."""
         async with self._http.stream("GET", f"/v1/jobs/{job}/events") as answer:
             if answer.status_code != 200:
                 raise Problem.of(answer.status_code, await answer.aread())

@@ -113,7 +113,7 @@ class Client:
         return self._run(operations.wait(job, on_change, self.patience_s))
 
     def events(self, job: str) -> Iterator[tuple[str, Any]]:
-        """The events of a job, pairs of name (`state`, `progress`, `log`) and data, until it ends."""
+        """The events of a job, pairs of name (`state`, `progress`, `scene`, `log`) and data, until it ends."""
         with self._http.stream("GET", f"/v1/jobs/{job}/events") as answer:
             if answer.status_code != 200:
                 raise Problem.of(answer.status_code, answer.read())
