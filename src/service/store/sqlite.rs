@@ -10,7 +10,7 @@ use super::{schema, shrink};
 use crate::service::failpoint::{failpoint, fault};
 use sqlx::pool::PoolOptions;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
-use sqlx::{Connection, Database, Sqlite};
+use sqlx::{ConnectOptions, Connection, Database, Sqlite};
 use std::io;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -54,7 +54,11 @@ async fn open_database(folders: Folders) -> Result<Store, StoreError> {
         (true, false) => await_creation(&database).await?,
         (false, _) => {}
     }
+    // A pool repeats what fails after a connection is made until its patience ends. What is wrong with the file is found here, and
+    // the connection stays until there is another one: the last one would empty the write-ahead log.
+    let probe = options.connect().await?;
     let writer = connect(1, &options, SqliteSynchronous::Full).await?;
+    probe.close().await?;
     require_sound_sqlite(&writer).await?;
     if !is_new {
         // A file without its write-ahead log can be a valid database without tables.
@@ -105,7 +109,7 @@ async fn connect(n: u32, options: &SqliteConnectOptions, synchronous: SqliteSync
 #[cfg(feature = "scale")]
 async fn connect(n: u32, options: &SqliteConnectOptions, synchronous: SqliteSynchronous) -> sqlx::Result<SqlPool> {
     use super::sql::SqlOptions;
-    use sqlx::{AssertSqlSafe, ConnectOptions, Executor};
+    use sqlx::{AssertSqlSafe, Executor};
     use std::sync::Arc;
     sqlx::any::install_default_drivers();
     let patience = busy_patience().as_millis();

@@ -10,6 +10,7 @@ use sqlx::{ConnectOptions, Connection, SqliteConnection};
 use std::borrow::Cow;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
+use std::time::Duration;
 
 /// Last migration before the column `crashes`.
 const BEFORE_CRASHES: i64 = 4;
@@ -51,6 +52,15 @@ async fn counters_of_an_earlier_release_are_taken_over() {
     let counters: Vec<(String, i64, i64)> = counters.fetch_all(store.read()).await.unwrap();
     assert_eq!(counters, [("x".to_owned(), 2, 0), ("y".to_owned(), 0, 1)]);
     store.close().await;
+}
+
+#[tokio::test]
+async fn garbage_in_place_of_the_database_is_named_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("wandless.db"), "no database ".repeat(1000)).unwrap();
+    let opened = tokio::time::timeout(Duration::from_secs(10), Store::open(folder.path())).await;
+    let error = opened.expect("a pool waited for a connection").unwrap_err();
+    assert!(matches!(error, StoreError::DatabaseDamaged { .. }), "{error}");
 }
 
 #[tokio::test]
