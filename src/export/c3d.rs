@@ -2,9 +2,9 @@
 //!
 //! Little-endian, 32-bit floats; millimetres, z up (`POINT:X_SCREEN` +X, `Y_SCREEN` +Z). Keypoints have the
 //! prefix `detected_`. A point's residual is -1 where no camera detected the person or the keypoint is unknown: its coordinates
-//! are then zero. Frames have the session's frame numbers where the 16 bits of
-//! the header can represent them (1 to 65535), else they count from 1; `TRIAL:ACTUAL_START_FIELD` contains the same in 32
-//! bits.
+//! are then zero. Frames have the session's frame numbers where the 16 bits of the header can represent those of the whole
+//! take (1 to 65535), else they count from 1 at its first frame: the files of all people have one clock.
+//! `TRIAL:ACTUAL_START_FIELD` contains the same in 32 bits.
 //!
 //! Known limit: the header counts at most 65535 frames; `POINT:LONG_FRAMES` contains the number of a longer motion.
 
@@ -41,7 +41,7 @@ pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
 }
 
 fn points(take: &Take, motion: &BodyMotion) -> Vec<u8> {
-    let (range, markers) = (frame_range(take, motion), markers(take, motion));
+    let (range, markers) = (frame_range(take.frame_range(), motion), markers(take, motion));
     // The parameters contain the number of the data block behind them, which does not change their length.
     let n_parameter_blocks = parameters(take, motion, &markers.names, &range, 0).len() / BLOCK_BYTES;
     let data_block = u16::from(FIRST_PARAMETER_BLOCK) + n_parameter_blocks as u16;
@@ -60,12 +60,14 @@ fn points(take: &Take, motion: &BodyMotion) -> Vec<u8> {
     bytes
 }
 
-fn frame_range(take: &Take, motion: &BodyMotion) -> FrameRange {
-    let [first, last] = take.presence(motion);
-    match (u16::try_from(first), u16::try_from(last)) {
-        (Ok(first @ 1..), Ok(last)) => FrameRange { first: first.into(), last: last.into() },
-        _ => FrameRange { first: 1, last: motion.frames.len().max(1) as u32 },
-    }
+/// `start`, `end`: first and last frame number of the take.
+fn frame_range([start, end]: [i64; 2], motion: &BodyMotion) -> FrameRange {
+    let first_number = match (u16::try_from(start), u16::try_from(end)) {
+        (Ok(start @ 1..), Ok(_)) => u32::from(start),
+        _ => 1,
+    };
+    let first = first_number + motion.first.0 as u32;
+    FrameRange { first, last: first + motion.frames.len().saturating_sub(1) as u32 }
 }
 
 fn header(take: &Take, n_points: usize, range: &FrameRange, data_block: u16) -> Vec<u8> {
@@ -175,4 +177,20 @@ fn encoded(value: &Value) -> Vec<u8> {
 
 fn fill_block(bytes: &mut Vec<u8>) {
     bytes.resize(bytes.len().next_multiple_of(BLOCK_BYTES), 0);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::export::sample_motion::motion;
+    use crate::session::FrameIndex;
+
+    #[test]
+    fn a_person_that_came_later_had_another_clock() {
+        let later = BodyMotion { first: FrameIndex(5), ..motion() };
+        let firsts = |start: i64| [&motion(), &later].map(|motion| frame_range([start, start + 7], motion).first);
+        // Takes that begin at frame 0 or before, and one that ends beyond 16 bits.
+        assert_eq!([0, -3, 65_530].map(firsts), [[1, 6]; 3]);
+        assert_eq!(firsts(300), [300, 305]);
+    }
 }
