@@ -1,5 +1,6 @@
 //! `wandless evaluate`: compares a result with the ground truth.
 
+use super::bad_input::BadInput;
 use crate::evaluation::alignment::Alignment;
 use crate::evaluation::{EvaluationOptions, evaluate};
 use crate::session::recording::UpAxis;
@@ -55,7 +56,7 @@ pub(super) enum UpName {
 /// Evaluates and prints.
 ///
 /// # Errors
-/// Missing or contradictory files.
+/// [`BadInput`] for missing or contradictory files.
 pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let options = EvaluationOptions {
         align: args.align.map(|name| match name {
@@ -71,7 +72,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
         }),
         actors: args.actors,
     };
-    let evaluation = evaluate(&args.result, &args.truth, &options)?;
+    let evaluation = evaluate(&args.result, &args.truth, &options).map_err(|error| BadInput(error.to_string()))?;
     let json = serde_json::to_string_pretty(&evaluation)?;
     if let Some(path) = &args.out {
         std::fs::write(path, format!("{json}\n")).with_context(|| format!("cannot write {}", path.display()))?;
@@ -103,18 +104,20 @@ mod tests {
         let line =
             ["evaluate", &gt.to_string_lossy(), "--truth", &gt.to_string_lossy(), "--out", &out.to_string_lossy()];
         run(arguments_of(line).unwrap()).unwrap();
-        let errors: serde_json::Value = serde_json::from_slice(&std::fs::read(out).unwrap()).unwrap();
+        let errors: serde_json::Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
         assert!(errors["cameras"]["rigid"]["position_mm"].as_f64().unwrap() < 1e-6);
         assert!(errors["mpjpe"]["raw14"].as_f64().unwrap() < 1e-6);
         assert_eq!(errors["joints_from"], "poses3d.json");
         assert_eq!(errors["other_poses"]["joints_from"], "keypoints3d.json");
         assert_eq!((&errors["pcp"]["average"], &errors["identity"]["accuracy"]), (&100.0.into(), &1.0.into()));
+        let unknown = run(arguments_of(line.into_iter().chain(["--actors", "0,9"])).unwrap()).unwrap_err();
+        assert!(unknown.is::<BadInput>() && unknown.to_string().contains("no person \"9\""), "{unknown}");
     }
 
     #[test]
     fn names_missing_truth_folder() {
         let line = ["evaluate", "no/result", "--truth", "no/truth"];
         let error = run(arguments_of(line).unwrap()).unwrap_err();
-        assert!(error.to_string().contains("no/truth"), "{error}");
+        assert!(error.is::<BadInput>() && error.to_string().contains("no/truth"), "{error}");
     }
 }

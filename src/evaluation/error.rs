@@ -51,6 +51,14 @@ pub enum EvaluationError {
         /// The camera.
         camera: String,
     },
+    /// A person to average over that the truth does not have.
+    #[error("the truth has no person {person:?}; its people are {}", known.join(", "))]
+    Actor {
+        /// The name of the person.
+        person: String,
+        /// The people of the truth.
+        known: Vec<String>,
+    },
     /// The result contains nothing that can be compared.
     #[error("{}: the folder contains none of cameras.json, keypoints3d.json, poses3d.json and identities.json", result.display())]
     Nothing {

@@ -112,7 +112,7 @@ pub fn evaluate(result: &Path, truth: &Path, options: &EvaluationOptions) -> Res
         None => Vec::new(),
     };
     let truth_from_result = world_alignment(&pairs, options.align);
-    let comparison = PoseComparison::new(&session, &true_poses, options);
+    let comparison = PoseComparison::new(&session, &true_poses, options)?;
     let mut poses = Vec::new();
     for name in comparison.files_in_order() {
         if let Some(path) = existing(result, name) {
@@ -185,25 +185,32 @@ struct PoseComparison<'a> {
 }
 
 impl<'a> PoseComparison<'a> {
-    fn new(session: &SessionDocument, truth: &'a PosesDocument, options: &EvaluationOptions) -> Self {
+    fn new(
+        session: &SessionDocument,
+        truth: &'a PosesDocument,
+        options: &EvaluationOptions,
+    ) -> Result<Self, EvaluationError> {
         let up = match options.up.or(truth.up_axis).or(session.up_axis).unwrap_or(UpAxis::Z) {
             UpAxis::X => Vector3::x(),
             UpAxis::Y => Vector3::y(),
             UpAxis::Z => Vector3::z(),
         };
-        let all_people =
-            || truth.frames.values().flat_map(BTreeMap::keys).collect::<BTreeSet<_>>().into_iter().cloned();
+        let all: BTreeSet<&String> = truth.frames.values().flat_map(BTreeMap::keys).collect();
+        let all: Vec<String> = all.into_iter().cloned().collect();
+        if let Some(person) = options.actors.iter().flatten().find(|person| !all.contains(person)) {
+            return Err(EvaluationError::Actor { person: person.clone(), known: all });
+        }
         let default = || match truth.skeleton {
             Skeleton::Shelf => SHELF_ACTORS.map(str::to_owned).to_vec(),
-            Skeleton::Keypoints(_) => all_people().collect(),
+            Skeleton::Keypoints(_) => all,
         };
-        Self {
+        Ok(Self {
             true_shelf: shelf_frames(&truth.frames, truth.skeleton, &up),
             actors: options.actors.clone().unwrap_or_else(default),
             truth,
             up,
             fps: session.fps,
-        }
+        })
     }
 
     /// Files of poses, the one most similar to the truth first: SMPL joints for SMPL truth, keypoints for annotated truth.

@@ -201,6 +201,8 @@ fn wrong_usage_exits_with_2_and_one_line() {
     let (code, text) = run(binary().args(["reconstruct", "/nowhere", "--out"]).arg(data.path().join("out")));
     assert_eq!(code, Some(2), "{text}");
     assert_eq!(text.trim().lines().count(), 1, "{text}");
+    let (code, text) = run(binary().args(["evaluate", "/nowhere", "--truth", "/nowhere"]));
+    assert_eq!(code, Some(2), "{text}");
 
     let server = Server::start();
     let (code, text) = run(&mut command(server.data()));
