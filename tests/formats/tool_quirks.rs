@@ -27,6 +27,20 @@ fn nan_of_pose2sim_rejected_the_whole_recording() {
     assert!(present.iter().enumerate().all(|(k, present)| *present == (k >= 8)), "{present:?}");
 }
 
+/// People write the result beside the poses and solve again: its files were read as poses, and refused.
+#[test]
+fn a_result_beside_the_poses_was_read_as_poses() {
+    let plain = read(&openpose(&COCO17)).unwrap();
+    let mut files = openpose(&COCO17);
+    let names = ["manifest", "report", "people", "identities", "poses3d", "keypoints3d", "cameras"];
+    let file = |name: &str| (format!("result/{name}.json"), br#"{"frames": {"0": {}}, "cameras": []}"#.to_vec());
+    files.extend(names.map(file));
+    let read = read(&files).unwrap();
+    assert_eq!(read.session, plain.session);
+    let is_named = |warning: &String| warning.contains("folder \"result/\" holds the result");
+    assert!(read.warnings.iter().any(is_named), "{:?}", read.warnings);
+}
+
 #[test]
 fn nan_in_lists_of_people_is_a_missing_point() {
     for (name, files) in [("alphapose", alphapose(1.0)), ("mmpose", mmpose(true))] {

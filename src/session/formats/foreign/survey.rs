@@ -5,7 +5,7 @@ use crate::session::formats::poses::{self, PoseDialect, frame_name};
 use crate::session::upload::error::shown;
 use crate::session::upload::members::Members;
 use crate::session::upload::pictures::is_picture;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek};
 
 /// The files by kind, each list in the order of names.
@@ -21,7 +21,7 @@ pub(crate) struct Survey {
     pub(crate) unrecognised: Vec<(String, usize)>,
     /// Videos and images.
     pub(crate) pictures: Vec<String>,
-    /// Files that could be read after a conversion, with instructions, one sentence each.
+    /// Files that could be read after a conversion, with instructions, and folders that hold a result, one sentence each.
     pub(crate) hints: Vec<String>,
 }
 
@@ -60,10 +60,12 @@ pub(crate) fn survey<R: Read + Seek>(members: &mut Members<R>) -> Survey {
     let mut survey = Survey::default();
     let mut groups: BTreeMap<(String, String, String), Vec<(i64, String)>> = BTreeMap::new();
     let mut singles: Vec<String> = Vec::new();
+    let results = result_folders(members);
     for name in members.names() {
         let (folder, file_name) = name.rsplit_once('/').unwrap_or(("", name));
         let is_hidden = name.starts_with("__MACOSX/") || name.split('/').any(|part| part.starts_with('.'));
-        if is_hidden || file_name.is_empty() || folder.split('/').any(|part| part == "gt") {
+        let is_of_result = results.iter().any(|result| name.starts_with(result.as_str()));
+        if is_hidden || is_of_result || file_name.is_empty() || folder.split('/').any(|part| part == "gt") {
             continue;
         }
         if file_name == "session.json" && !folder.contains('/') && survey.header.is_none() {
@@ -104,8 +106,21 @@ pub(crate) fn survey<R: Read + Seek>(members: &mut Members<R>) -> Survey {
             None => survey.unrecognised.push((name, 1)),
         }
     }
+    let ignored = |result: String| format!("folder {} holds the result of a solve: it is ignored", shown(&result));
+    survey.hints.extend(results.into_iter().map(ignored));
     mark_shared_folders(&mut survey.groups);
     survey
+}
+
+/// The folders, with a slash at their ends, that hold a result: many write it beside the poses, and solve again.
+fn result_folders<R: Read + Seek>(members: &Members<R>) -> Vec<String> {
+    let names: BTreeSet<&str> = members.names().collect();
+    let is_result = |folder: &&str| {
+        let files = ["manifest.json", "report.json", "people.json"];
+        files.iter().all(|file| names.contains(format!("{folder}{file}").as_str()))
+    };
+    let folders = names.iter().filter_map(|name| name.strip_suffix("identities.json"));
+    folders.filter(|folder| folder.ends_with('/')).filter(is_result).map(str::to_owned).collect()
 }
 
 impl Survey {
