@@ -22,9 +22,10 @@ pub(super) fn require_free(out: &Path) -> anyhow::Result<()> {
     Err(BadInput(format!("{}: {what}; {remedy}", out.display())).into())
 }
 
-/// Creates a folder that [`publish`] turns into `out` when it is complete, so that `out` never holds a partial result: inside an
+/// Names a folder that [`publish`] turns into `out` when it is complete, so that `out` never holds a partial result: inside an
 /// existing `out`, which can be the working folder of a shell or a mounted disk and so cannot be replaced, else beside it. Its name
-/// is new: a folder of the user never has to give way.
+/// is new: a folder of the user never has to give way. It is made for a moment, to see whether it can be, and again with the
+/// first file: work that is interrupted before leaves nothing behind.
 pub(super) fn staging_folder(out: &Path) -> anyhow::Result<PathBuf> {
     let (folder, name) = match (out.is_dir(), out.file_name()) {
         (true, _) => (out, "wandless".to_owned()),
@@ -40,7 +41,10 @@ pub(super) fn staging_folder(out: &Path) -> anyhow::Result<PathBuf> {
         let staging = folder.join(format!(".{name}.{process}-{number}.tmp"));
         match std::fs::create_dir(&staging) {
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {} // left by an earlier process of this number
-            created => return created.map(|()| staging.clone()).with_context(|| staging.display().to_string()),
+            created => {
+                created.and_then(|()| std::fs::remove_dir(&staging)).with_context(|| staging.display().to_string())?;
+                return Ok(staging);
+            }
         }
     }
     anyhow::bail!("{}: the names of 1000 temporary folders are taken; remove .{name}.*.tmp", folder.display())
@@ -79,7 +83,7 @@ mod tests {
     fn publish_report(out: &Path) {
         require_free(out).unwrap();
         let staging = staging_folder(out).unwrap();
-        std::fs::create_dir(staging.join("smpl")).unwrap();
+        std::fs::create_dir_all(staging.join("smpl")).unwrap();
         std::fs::write(staging.join("report.json"), "{}").unwrap();
         publish(&staging, out, Ok(())).unwrap();
     }
@@ -121,6 +125,8 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         for out in [place.path().to_owned(), place.path().join("take")] {
             let staging = staging_folder(&out).unwrap();
+            assert!(names(place.path()).is_empty(), "an interrupted solve blocked its own folder");
+            std::fs::create_dir(&staging).unwrap();
             std::fs::write(staging.join("report.json"), "{}").unwrap();
             assert!(publish(&staging, &out, Err::<(), _>(anyhow::anyhow!("canceled"))).is_err());
             assert!(names(place.path()).is_empty());
