@@ -50,6 +50,12 @@ pub(super) fn staging_folder(out: &Path) -> anyhow::Result<PathBuf> {
     anyhow::bail!("{}: the names of 1000 temporary folders are taken; remove .{name}.*.tmp", folder.display())
 }
 
+/// Makes an output folder that is filled while the work goes on.
+pub(super) fn make_free(out: &Path) -> anyhow::Result<()> {
+    require_free(out)?;
+    std::fs::create_dir_all(out).with_context(|| out.display().to_string())
+}
+
 /// Publishes a complete staging folder as `out`, or removes it after a failure.
 pub(super) fn publish<T>(staging: &Path, out: &Path, work: anyhow::Result<T>) -> anyhow::Result<T> {
     if work.is_err() {

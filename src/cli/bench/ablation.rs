@@ -8,6 +8,7 @@ use super::evaluated::{Evaluated, evaluated};
 use super::table::{Column, Reference, Statistics, Table, statistics};
 use crate::cli::bad_input::BadInput;
 use crate::cli::noise::NoiseName;
+use crate::cli::output_folder::make_free;
 use crate::cli::solve::use_threads;
 use crate::evaluation::Evaluation;
 use crate::evaluation::alignment::Alignment;
@@ -32,7 +33,7 @@ pub(super) struct AblationArgs {
     /// Sessions with ground truth (SESSION/gt) instead of simulated ones; several give means and standard deviations
     #[arg(conflicts_with_all = ["count", "seed", "noise"])]
     sessions: Vec<PathBuf>,
-    /// Output folder for simulated sessions, all results, ablation.md and ablation.json; must not exist
+    /// Output folder for simulated sessions, all results, ablation.md and ablation.json; must be empty or not exist
     #[arg(long)]
     out: PathBuf,
     /// Number of simulated sessions, each with 2 people and 6 cameras
@@ -112,9 +113,7 @@ struct Case {
 
 pub(super) fn run(args: &AblationArgs) -> anyhow::Result<()> {
     use_threads(args.threads);
-    if args.out.exists() {
-        return Err(BadInput(format!("{}: the folder exists; choose a new one", args.out.display())).into());
-    }
+    make_free(&args.out)?;
     let mut table = Table::new(&COLUMNS, Some(REFERENCE));
     for (k, path) in sessions(args)?.iter().enumerate() {
         let limits = UploadLimits::default();

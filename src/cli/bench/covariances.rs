@@ -7,8 +7,8 @@
 //! covariances are worth 3 %, with realistic errors two fifths.
 
 use super::evaluated::evaluated;
-use crate::cli::bad_input::BadInput;
 use crate::cli::noise::NoiseName;
+use crate::cli::output_folder::make_free;
 use crate::cli::solve::use_threads;
 use crate::evaluation::alignment::Alignment;
 use crate::geometry::PixelCovariance;
@@ -17,6 +17,7 @@ use crate::session::formats::native::write_folder;
 use crate::session::{Detection, Keypoint, Session};
 use crate::simulation::{Bodies, Preset, SimulationConfig, Tracks, simulate, write_truth};
 use anyhow::Context;
+use clap::builder::PossibleValuesParser;
 use nalgebra::Matrix2;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -24,7 +25,7 @@ use std::path::{Path, PathBuf};
 /// Arguments of `bench covariances`.
 #[derive(Debug, clap::Args)]
 pub(super) struct CovariancesArgs {
-    /// Output folder for the sessions, all results and covariances.json; must not exist
+    /// Output folder for the sessions, all results and covariances.json; must be empty or not exist
     #[arg(long)]
     out: PathBuf,
     /// Number of sessions
@@ -46,7 +47,7 @@ pub(super) struct CovariancesArgs {
     #[arg(long, value_enum, default_value_t = NoiseName::Real)]
     noise: NoiseName,
     /// Only the variants whose names are given, besides the one without covariances
-    #[arg(long, num_args = 1..)]
+    #[arg(long, num_args = 1.., value_parser = PossibleValuesParser::new(VARIANTS.map(|variant| variant.name)))]
     only: Vec<String>,
     /// Number of solver threads; 0 uses all cores
     #[arg(long, default_value_t = 0)]
@@ -90,9 +91,7 @@ struct Row {
 
 pub(super) fn run(args: &CovariancesArgs) -> anyhow::Result<()> {
     use_threads(args.threads);
-    if args.out.exists() {
-        return Err(BadInput(format!("{}: the folder exists; choose a new one", args.out.display())).into());
-    }
+    make_free(&args.out)?;
     let is_wanted = |variant: &&Variant| args.only.is_empty() || args.only.iter().any(|name| *name == variant.name);
     let variants: Vec<&Variant> = VARIANTS.iter().filter(is_wanted).collect();
     let mut ratios: Vec<Vec<[f64; 4]>> = vec![Vec::new(); variants.len()];

@@ -10,7 +10,7 @@ use crate::body::kinematics::{Pose, posed};
 use crate::body::skeleton::KeypointConvention;
 use crate::body::skinning::skinned;
 use crate::body::{Betas, BodyModel, default_body};
-use crate::cli::bad_input::BadInput;
+use crate::cli::output_folder::make_free;
 use crate::cli::solve::use_threads;
 use crate::evaluation::alignment::{Alignment, truth_from_solved};
 use crate::evaluation::marker_error::{MarkedPose, first_matches, marker_error, nearest_vertices};
@@ -40,7 +40,7 @@ pub(super) struct MarkersArgs {
     /// Length of each dance in frames, at 30 frames per second
     #[arg(long, default_value_t = 150)]
     frames: usize,
-    /// Output folder for markers.md and markers.json; must not exist
+    /// Output folder for markers.md and markers.json; must be empty or not exist
     #[arg(long)]
     out: PathBuf,
     /// Number of solver threads; 0 uses all cores
@@ -65,9 +65,7 @@ const COLUMNS: [Column; 5] = [(MEAN, 1), (SPREAD, 1), (SPREAD_OF_POSES, 1), (SAM
 
 pub(super) fn run(args: &MarkersArgs) -> anyhow::Result<()> {
     use_threads(args.threads);
-    if args.out.exists() {
-        return Err(BadInput(format!("{}: the folder exists; choose a new one", args.out.display())).into());
-    }
+    make_free(&args.out)?;
     let mut table = Table::new(&COLUMNS, None);
     for seed in args.seed..args.seed + args.seeds {
         let dance = Dance::new(seed, args.frames)?;
@@ -81,7 +79,6 @@ pub(super) fn run(args: &MarkersArgs) -> anyhow::Result<()> {
             }
         }
     }
-    std::fs::create_dir_all(&args.out)?;
     table.publish(&args.out, "markers")
 }
 

@@ -6,6 +6,7 @@
 
 use super::evaluated::write_into;
 use crate::cli::bad_input::BadInput;
+use crate::cli::output_folder::make_free;
 use crate::cli::solve::use_threads;
 use crate::evaluation::alignment::Alignment;
 use crate::evaluation::documents::read_cameras;
@@ -19,7 +20,6 @@ use crate::session::reconstruction::Verdict;
 use crate::session::upload::{UploadLimits, read_path};
 use crate::session::{Reconstruction, Session, Suspicion};
 use crate::simulation::mistakes::{COMBINATIONS, MISTAKES, Mistake};
-use anyhow::Context;
 use nalgebra::Vector3;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -31,7 +31,7 @@ pub(super) struct MistakesArgs {
     /// Sessions with ground truth (SESSION/gt)
     #[arg(required = true)]
     sessions: Vec<PathBuf>,
-    /// Output folder for all results, mistakes.md and mistakes.json; must not exist
+    /// Output folder for all results, mistakes.md and mistakes.json; must be empty or not exist
     #[arg(long)]
     out: PathBuf,
     /// Only mistakes whose name contains this text; several are possible; without mistakes: `none`
@@ -107,9 +107,7 @@ struct Solved {
 
 pub(super) fn run(args: &MistakesArgs) -> anyhow::Result<()> {
     use_threads(args.threads);
-    if args.out.exists() {
-        return Err(BadInput(format!("{}: the folder exists; choose a new one", args.out.display())).into());
-    }
+    make_free(&args.out)?;
     let is_chosen = |i: &Injection| args.only.is_empty() || args.only.iter().any(|text| i.name.contains(text.as_str()));
     let mut cases = Vec::new();
     for (k, path) in args.sessions.iter().enumerate() {
@@ -145,7 +143,6 @@ pub(super) fn run(args: &MistakesArgs) -> anyhow::Result<()> {
     }
     let table = markdown(&cases);
     print!("{table}");
-    std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
     std::fs::write(args.out.join("mistakes.md"), table)?;
     std::fs::write(args.out.join("mistakes.json"), serde_json::to_string_pretty(&cases)?)?;
     Ok(())
