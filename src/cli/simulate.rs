@@ -2,6 +2,7 @@
 
 use super::bad_input::BadInput;
 use super::noise::NoiseName;
+use super::output_folder::require_free;
 use crate::body::dense_landmarks::checked_table;
 use crate::body::skeleton::KeypointConvention;
 use crate::session::formats::native::{self, landmarks_from_json};
@@ -19,7 +20,7 @@ use std::sync::Arc;
 /// Options that are not given take the value of the preset. The same arguments give the same bytes.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Output folder
+    /// Output folder; must be empty or not exist
     #[arg(long)]
     out: PathBuf,
     /// Difficulty; `random` draws cameras and people from the seed
@@ -50,16 +51,16 @@ pub(super) struct Args {
     #[arg(long, value_parser = parse_convention)]
     convention: Option<KeypointConvention>,
     /// Landmarks behind the keypoints: a file of `body landmarks`; needs --default-bodies or --individual-bodies
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", requires = "skin")]
     landmarks: Option<PathBuf>,
     /// Scope of track ids: the same person in all views, per view, or none
     #[arg(long, value_enum)]
     tracks: Option<TracksName>,
     /// Use default bodies of random shapes instead of the stick figures of the simulator
-    #[arg(long)]
+    #[arg(long, group = "skin")]
     default_bodies: bool,
     /// Like --default-bodies, with individual joint positions inside the body and a biased keypoint detector
-    #[arg(long, conflicts_with = "default_bodies")]
+    #[arg(long, group = "skin")]
     individual_bodies: bool,
     /// Procedural motion (walk, turn, crouch, sit, reach, gesture) instead of samples of the motion prior
     #[arg(long, conflicts_with = "motion")]
@@ -130,7 +131,7 @@ pub(super) enum TracksName {
 /// Simulates and writes the session; prints statistics of its difficulty (JSON).
 ///
 /// # Errors
-/// Numbers out of range, unreadable motion files, errors of the file system.
+/// [`BadInput`] for numbers out of range, unreadable motion files and a folder that holds other files; errors of the file system.
 pub(super) fn run(args: Args) -> anyhow::Result<()> {
     println!("{}", serde_json::to_string_pretty(&simulate_into_folder(&args)?)?);
     Ok(())
@@ -141,6 +142,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
 /// # Errors
 /// As [`run`].
 pub(super) fn simulate_into_folder(args: &Args) -> anyhow::Result<Statistics> {
+    require_free(&args.out)?;
     let mut config = config(args);
     if let Some(path) = &args.landmarks {
         let shown = |error: &dyn std::fmt::Display| BadInput(format!("{}: {error}", path.display()));
@@ -149,7 +151,7 @@ pub(super) fn simulate_into_folder(args: &Args) -> anyhow::Result<Statistics> {
         let table = checked_table(&name, &stated).map_err(|error| shown(&error))?;
         (config.convention, config.dense) = (table.base, table.dense.map(Arc::new));
     }
-    let simulated = simulate(&config)?;
+    let simulated = simulate(&config).map_err(|error| BadInput(error.to_string()))?;
     let write =
         || native::write_folder(&simulated.session, &args.out).and_then(|()| write_truth(&simulated, &args.out));
     write().with_context(|| format!("cannot write {}", args.out.display()))?;
@@ -253,6 +255,22 @@ mod tests {
         let real = NoiseConfig::preset(Preset::Easy).with_real_errors();
         assert_eq!(config(&args("--out x --preset easy --noise real")).noise, real);
         assert!(arguments_of::<Args>(["simulate", "--out", "x", "--convention", "tail"]).is_err());
+    }
+
+    #[test]
+    fn a_folder_of_another_session_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let simulated = |line: &str| {
+            let mut args = args(&format!("--out x --frames 5 {line}"));
+            args.out = folder.path().to_owned();
+            simulate_into_folder(&args)
+        };
+        assert!(simulated("--people 0").unwrap_err().is::<BadInput>(), "a number out of range is wrong usage");
+        simulated("--views 3").unwrap();
+        let error = simulated("--views 2").unwrap_err();
+        assert!(error.is::<BadInput>() && error.to_string().contains("not empty"), "{error}");
+        assert!(arguments_of::<Args>(["simulate", "--out", "x", "--landmarks", "l.json"]).is_err());
+        args("--out x --landmarks l.json --individual-bodies");
     }
 
     #[test]
