@@ -3,6 +3,7 @@
 use super::arguments::arguments_of;
 use super::client::Client;
 use super::noise::NoiseName;
+use super::output_folder::require_free;
 use super::serve::StopSignals;
 use super::submit::{download, submit};
 use super::summary::Summary;
@@ -18,7 +19,7 @@ use tokio::runtime::Runtime;
 /// Arguments of `demo`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Folder for all files [default: a new temporary folder, which is kept]
+    /// Folder for all files, must be empty or not exist [default: a new temporary folder, which is kept]
     #[arg(long)]
     dir: Option<PathBuf>,
     /// Seed of the simulation
@@ -35,7 +36,10 @@ pub(super) struct Args {
 /// Runs the command.
 pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let dir = match args.dir {
-        Some(dir) => dir,
+        Some(dir) => {
+            require_free(&dir)?;
+            dir
+        }
         None => std::env::temp_dir().join(format!("wandless-demo-{}", uuid::Uuid::new_v4().simple())),
     };
     let session = dir.join("session");

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)] // an unexpected value fails the test
 #![allow(unreachable_pub)] // the modules share items; a test binary exports nothing
 
+mod commands;
 mod corrections;
 mod crashes;
 mod errors;
