@@ -70,6 +70,10 @@ pub(super) fn solve(
         true => None,
         false => earlier.iter().find_map(|result| read_continuation(result, &loaded.sha256, options)),
     };
+    if let (None, [first, ..], false) = (&continuation, earlier, options.corrections.is_empty()) {
+        let result = first.display();
+        tracing::warn!("{result}: no result of this session with these options; it is solved from the start");
+    }
     let solved =
         pipeline::solve(&loaded.session, options, body, &checkpoints, continuation.as_ref(), watcher, progress)?;
     let pipeline::SolvedSession { reconstruction, continuation } = solved;

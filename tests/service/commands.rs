@@ -1,6 +1,25 @@
 //! Commands without a service: what they refuse, and what they leave behind.
 
+use std::path::Path;
 use std::process::Command;
+
+#[test]
+fn continuing_from_no_result_was_silent() {
+    let folder = tempfile::tempdir().unwrap();
+    let [session, result, corrections] = ["session", "result", "corrections.json"].map(|name| folder.path().join(name));
+    let run = |words: &[&str], out: &Path| {
+        let output = Command::new(env!("CARGO_BIN_EXE_wandless")).args(words).arg("--out").arg(out).output().unwrap();
+        let text = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{text}");
+        text
+    };
+    std::fs::write(&corrections, r#"[{"action": "rename", "person": 0, "name": "Ada"}]"#).unwrap();
+    let [session_name, corrections] = [&session, &corrections].map(|path| path.to_str().unwrap());
+    run(&["simulate", "--preset", "easy", "--people", "1", "--views", "3", "--frames", "60"], &session);
+    let words = ["reconstruct", session_name, "--corrections", corrections, "--continue", "/nowhere"];
+    let text = run(&words, &result);
+    assert!(text.contains("/nowhere: no result of this session"), "{text}");
+}
 
 #[test]
 fn demo_solved_before_it_refused_its_folder() {
