@@ -5,6 +5,7 @@ mod arguments;
 mod bad_input;
 mod bench;
 mod body;
+mod broken_pipe;
 mod completions;
 mod evaluate;
 mod export;
@@ -134,6 +135,7 @@ enum Command {
 /// Runs the command line; exit code 0: done, 1: failed, 2: wrong usage or unusable input, 3: written, but with the verdict
 /// `reject`.
 pub fn main() -> ExitCode {
+    broken_pipe::end_quietly();
     let cli = Cli::parse(); // exits with 2 on wrong usage
     let filter = EnvFilter::try_from_env("WANDLESS_LOG").unwrap_or_else(|_| EnvFilter::new(default_level(&cli)));
     // https://no-color.org: any non-empty value switches colours off.

@@ -1,7 +1,16 @@
 //! Commands without a service: what they refuse, and what they leave behind.
 
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
+
+#[test]
+fn a_reader_that_left_made_the_program_panic() {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_wandless"));
+    let mut child = command.arg("openapi").stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!((output.status.code(), String::from_utf8(output.stderr).unwrap().as_str()), (Some(1), ""));
+}
 
 #[test]
 fn continuing_from_no_result_was_silent() {
