@@ -12,8 +12,14 @@ pub(super) struct Args {
 }
 
 /// Runs the command; `command`: the whole command line.
-pub(super) fn run(args: &Args, mut command: Command) {
-    generate(args.shell, &mut command, "wandless", &mut std::io::stdout());
+pub(super) fn run(args: &Args, command: &Command) {
+    generate(args.shell, &mut without_hidden(command), "wandless", &mut std::io::stdout());
+}
+
+/// The command line without the child processes of the service, which the scripts of some shells would offer.
+fn without_hidden(command: &Command) -> Command {
+    let shown = command.get_subcommands().filter(|one| !one.is_hide_set()).cloned();
+    Command::new("wandless").version(env!("CARGO_PKG_VERSION")).subcommands(shown)
 }
 
 #[cfg(test)]
@@ -25,8 +31,9 @@ mod tests {
     fn scripts_complete_commands_and_options() {
         for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
             let mut script = Vec::new();
-            generate(shell, &mut crate::cli::Cli::command(), "wandless", &mut script);
+            generate(shell, &mut without_hidden(&crate::cli::Cli::command()), "wandless", &mut script);
             let script = String::from_utf8(script).unwrap();
+            assert!(!script.contains("run-job"), "{shell} offered a child process of the service");
             assert!(["reconstruct", "extrinsics", "refine"].iter().all(|word| script.contains(word)), "{shell}");
         }
     }

@@ -191,7 +191,7 @@ pub fn main() -> ExitCode {
             Ok(())
         }
         Command::Completions(args) => {
-            completions::run(&args, Cli::command());
+            completions::run(&args, &Cli::command());
             Ok(())
         }
         #[cfg(feature = "service")]
