@@ -13,7 +13,7 @@ use std::path::PathBuf;
 pub(super) struct Args {
     /// Result folder of `reconstruct` or of a job
     result: PathBuf,
-    /// Formats, separated by commas
+    /// Formats, separated by commas; `wandless options` lists them under `exports`
     #[arg(long, value_delimiter = ',', required = true, value_parser = format_named)]
     to: Vec<ExportFormat>,
     /// Output folder; must be empty or not exist

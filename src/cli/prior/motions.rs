@@ -49,10 +49,10 @@ pub(super) struct ReconstructArgs {
     #[arg(long, value_delimiter = ',', requires = "from", requires = "to")]
     hide: Vec<String>,
     /// First hidden frame of the file
-    #[arg(long)]
+    #[arg(long, requires = "hide")]
     from: Option<usize>,
     /// Frame after the last hidden one
-    #[arg(long)]
+    #[arg(long, requires = "hide")]
     to: Option<usize>,
     /// Network of the prior; latent takes neither noise nor hidden joints
     #[arg(long, value_enum, default_value_t = Model::Denoiser)]
