@@ -135,7 +135,7 @@ fn values_text(choices: &[Choice]) -> String {
 pub fn field_text(field: &Field) -> String {
     let range = field.kind.range();
     let range = if range.is_empty() { String::new() } else { format!(", {range} {}", field.unit) };
-    format!("`{}`: {}{range}", field.name, field.effect)
+    format!("`{}`: {}{}", field.name, field.effect, range.trim_end())
 }
 
 fn row_document(row: &OptionRow) -> Value {
