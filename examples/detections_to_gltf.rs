@@ -33,7 +33,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         exports: &options.exports,
         continuation: None,
     };
-    write_result(&out, &loaded.session, &context, &result)?;
+    // The session as the result has it: without the keypoints and mistakes that the solve has left out or repaired.
+    let session = as_solved(&loaded.session, &options, &result);
+    write_result(&out, &session, &context, &result)?;
     let manifest: serde_json::Value = serde_json::from_slice(&std::fs::read(out.join("manifest.json"))?)?;
     for file in manifest["files"].as_array().into_iter().flatten() {
         println!("{} ({} bytes)", out.join(file["name"].as_str().unwrap_or_default()).display(), file["bytes"]);

@@ -26,7 +26,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     for motion in &result.motions {
         let head = JOINT_NAMES.iter().position(|name| *name == "head").ok_or("the skeleton has a head")?;
-        let heights = motion.frames.iter().map(|frame| frame.joints[head].z);
+        let heights = motion.frames.iter().map(|frame| frame.joints[head].y); // y is up unless `up_axis` is z
         println!("person {}: head at most {:.2} m high", motion.person.0, heights.fold(f64::MIN, f64::max));
     }
     Ok(())

@@ -3,7 +3,7 @@
 pub use crate::body::skeleton::{JOINT_NAMES, KeypointConvention};
 pub use crate::export::{ResultContext, write_result};
 pub use crate::geometry::{Distortion, Intrinsics, Rigid};
-pub use crate::pipeline::{Options, PipelineError, reconstruct};
+pub use crate::pipeline::{Options, PipelineError, as_solved, reconstruct};
 pub use crate::progress::{Canceled, Progress, ProgressEvent};
 pub use crate::session::people::BodyPose;
 pub use crate::session::reconstruction::{ExportFormat, SolvedCamera, Verdict};

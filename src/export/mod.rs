@@ -71,7 +71,8 @@ pub const CONTINUATION: &str = "stages/continuation.txt";
 /// Media type of files that only the viewer reads.
 const OCTETS: &str = "application/octet-stream";
 
-/// Writes all files of a result into `dir`, which is created where it is missing; the manifest is written last.
+/// Writes all files of a result into `dir`, which is created where it is missing; the manifest is written last. `session`: as the
+/// result has it, which is what [`as_solved`](crate::pipeline::as_solved) gives for the session of the solve.
 ///
 /// Numbers are finite or null. Metres and radians are rounded to 1e-6, except for camera poses. Files of an earlier result
 /// that this one does not contain are not removed and not listed in the manifest.
