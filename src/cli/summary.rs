@@ -53,6 +53,7 @@ struct Spread {
 
 #[derive(Debug, Deserialize)]
 struct Scale {
+    value: f64,
     interval95: [f64; 2],
     evidence: String,
 }
@@ -141,8 +142,9 @@ impl fmt::Display for Summary {
         if let Some(px) = heldout_px {
             writeln!(f, "held-out error: {px:.2} px (cameras from half of the recording, judged on the other half)")?;
         }
-        if let Some(Scale { interval95: [low, high], evidence }) = scale {
-            let (below, above) = (100.0 * (1.0 - low), 100.0 * (high - 1.0));
+        if let Some(Scale { value, interval95: [low, high], evidence }) = scale {
+            // As shares of the result's lengths: the solver's own unit is arbitrary.
+            let (below, above) = (100.0 * (1.0 - low / value), 100.0 * (high / value - 1.0));
             writeln!(f, "metric scale: 95 % interval -{below:.1} % to +{above:.1} %; {evidence}")?;
         }
         Ok(())
@@ -174,7 +176,7 @@ mod tests {
             "people": [{ "id": 0, "first_frame": 3, "last_frame": 90, "n_detections": 400,
                 "reprojection_px": { "mean": 2.0, "median": 1.5 }, "sigma_mm": null, "joint_sigma_mm": { "median": 14.25, "p95": 30.0 } }],
             "heldout_px": 2.5,
-            "scale": { "value": 2.0, "interval95": [0.95, 1.06], "evidence": "limb lengths of 1 person" },
+            "scale": { "value": 2.0, "interval95": [1.9, 2.12], "evidence": "limb lengths of 1 person" },
         });
         let cameras = json!({ "cameras": [
             { "id": "left", "status": "solved", "reprojection_px": { "median": 1.25 }, "sigma_position_mm": 3.04 },

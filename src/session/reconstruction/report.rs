@@ -45,7 +45,7 @@ impl StageReport {
 pub struct ScaleReport {
     /// Factor applied to the solver's length unit, metres per unit.
     pub value: f64,
-    /// 95 % interval of the true factor relative to `value`.
+    /// 95 % interval of the factor; over `value` that of all lengths of the result.
     pub interval95: [f64; 2],
     /// One sentence.
     pub evidence: String,
