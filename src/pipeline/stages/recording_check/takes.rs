@@ -5,7 +5,7 @@ use crate::body::detector_profile::DETECTOR;
 use crate::geometry::Rigid;
 use crate::optim::robust::quantile;
 use crate::pipeline::calibration::TrackedPeople;
-use crate::session::Keypoint;
+use crate::session::{Detection, Keypoint};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -48,17 +48,24 @@ pub fn groups(people: &TrackedPeople) -> Vec<Vec<usize>> {
             groups[of_a.min(of_b)].extend(joined);
         }
     }
+    groups.iter_mut().for_each(|group| group.sort_unstable());
     groups.sort_by_key(|group| std::cmp::Reverse(group.len()));
     groups
 }
 
 /// Whether two cameras see people at the same places at the same times.
+///
+/// Frames in which one of them shows no person count neither way: it may have been started later, or stopped before.
 fn are_connected(people: &TrackedPeople, a: usize, b: usize) -> bool {
+    let shows_people =
+        |view: usize, frame: usize| people.session.views[view].frames[frame].iter().any(Detection::has_points);
     let (mut n_shared, mut n_expected) = (0, 0);
     for (track, person) in people.tracks.iter().zip(people.points) {
-        for (assigned, points) in track.detections.iter().zip(&person.points) {
+        for (t, (assigned, points)) in track.detections.iter().zip(&person.points).enumerate() {
+            let frame = track.first.0 + t;
             let (in_a, in_b) = (assigned[a].is_some(), assigned[b].is_some());
-            let is_expected = (in_a && stands_in(people, b, points)) || (in_b && stands_in(people, a, points));
+            let stands = |view: usize| shows_people(view, frame) && stands_in(people, view, points);
+            let is_expected = (in_a && stands(b)) || (in_b && stands(a));
             n_shared += usize::from(in_a && in_b);
             n_expected += usize::from(is_expected || (in_a && in_b));
         }

@@ -222,10 +222,20 @@ fn cameras_without_common_people_are_groups() {
     let split: Vec<PersonTrack> =
         tracks.iter().flat_map(|track| [of_views(track, [0, 1]), of_views(track, [2, 3])]).collect();
     let twice: Vec<JointTrajectory> = people.iter().flat_map(|person| [person.clone(), person.clone()]).collect();
-    let mut found = groups(&split, &twice);
-    found.iter_mut().for_each(|group| group.sort_unstable());
-    found.sort();
-    assert_eq!(found, [[0, 1], [2, 3]]);
+    assert_eq!(groups(&split, &twice), [[0, 1], [2, 3]]);
+}
+
+/// Two of four cameras were stopped a second after the others had been started: they were said to show another take.
+#[test]
+fn cameras_that_share_a_second_were_two_takes() {
+    let mut apart = scene();
+    for (view, recorded) in [(0, 0..90), (1, 0..90), (2, 60..150), (3, 60..150)] {
+        for frame in (0..150).filter(|frame| !recorded.contains(frame)) {
+            apart.session.views[view].frames[frame].clear();
+            apart.tracks.iter_mut().for_each(|track| track.detections[frame][view] = None);
+        }
+    }
+    assert_eq!(of_people(&apart, groups), [[0, 1, 2, 3]]);
 }
 
 #[test]
