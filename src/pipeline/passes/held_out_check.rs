@@ -9,8 +9,8 @@ use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, Adjust
 use crate::pipeline::stages::keyframe_selection::{FrameFilter, select_keyframes};
 use crate::progress::{Canceled, Progress};
 
-/// Frames of a block that is used for estimation or for judging as a whole: neighbouring frames share their errors.
-const BLOCK: usize = 15;
+/// Length of a block of frames that is used for estimation or for judging as a whole, s: neighbouring frames share their errors.
+const BLOCK_SECS: f64 = 0.5;
 
 /// Errors beyond this are wrong detections and count as this much, px.
 const CLIP_PX: f64 = 25.0;
@@ -24,7 +24,8 @@ pub fn heldout_px(
     freedom: CameraFreedom,
     progress: &Progress,
 ) -> Result<Option<f64>, Canceled> {
-    let halves = [0, 1].map(|half| move |frame: usize| (frame / BLOCK) % 2 == half);
+    let block = ((BLOCK_SECS * capture.session.fps).round() as usize).max(1);
+    let halves = [0, 1].map(|half| move |frame: usize| (frame / block) % 2 == half);
     let mut steps = progress.steps([3.0, 1.0, 3.0, 1.0]);
     let mut sum = 0.0;
     for (estimated, judged) in [(&halves[0], &halves[1]), (&halves[1], &halves[0])] {
