@@ -44,13 +44,13 @@ pub fn best_confidence(session: &Session) -> Option<f64> {
 /// Confidences that even at their best are below what detectors give correct keypoints.
 pub(super) fn low_confidence(session: &Session) -> Option<Suspicion> {
     let best = best_confidence(session)?;
-    (best < DETECTOR.judged).then(|| {
+    (best < DETECTOR.confident).then(|| {
         Suspicion::new(
             SuspicionCode::LowConfidence,
             Vec::new(),
             format!(
-                "95 % of the confidences are below {best:.2}, and keypoints below {} are hardly used",
-                DETECTOR.judged
+                "95 % of the confidences are below {best:.2}, and keypoints below {} place no camera",
+                DETECTOR.confident
             ),
             "give confidences from 0 to 1, where a clearly visible keypoint has 0.6 and more",
         )

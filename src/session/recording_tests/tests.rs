@@ -186,3 +186,13 @@ fn names_what_a_detector_gives() {
     };
     assert_eq!(found(faint), [(Code::LowConfidence, vec![])]);
 }
+
+/// Cameras are placed by keypoints from 0.4 on: without any, the solve ended with advice about overlap and intrinsics.
+#[test]
+fn confidences_that_place_no_camera_had_no_name() {
+    let flat = |s: &mut Session| {
+        let keypoints = s.views.iter_mut().flat_map(|v| v.frames.iter_mut().flatten()).flat_map(|d| &mut d.keypoints);
+        keypoints.filter(|k| k.is_present()).for_each(|k| k.confidence = 0.35);
+    };
+    assert_eq!(found(flat), [(Code::LowConfidence, vec![])]);
+}
