@@ -79,8 +79,17 @@ fn gaps(session: &Session, cameras: &[Option<Rigid>], tracks: &[PersonTrack], si
         }
         gaps
     };
-    let frames: Vec<usize> = (0..session.n_frames).step_by(stride).collect();
+    let frames: Vec<usize> = frames_with_pairs(session.n_frames, tracks).step_by(stride).collect();
     frames.into_par_iter().flat_map_iter(of_frame).collect()
+}
+
+/// Frames in which two views see some person: detectors may run on every second frame only.
+fn frames_with_pairs(n_frames: usize, tracks: &[PersonTrack]) -> impl Iterator<Item = usize> {
+    let assignment = |track: &PersonTrack, frame: usize| {
+        let t = frame.checked_sub(track.first.0)?;
+        track.detections.get(t).map(|assignment| n_pairs(assignment))
+    };
+    (0..n_frames).filter(move |&frame| tracks.iter().any(|track| assignment(track, frame).is_some_and(|n| n > 0)))
 }
 
 /// Number of pairs of views that see a person in one frame.
@@ -222,6 +231,7 @@ fn pooled(groups: impl Iterator<Item = Group>) -> Vec<Group> {
 mod tests {
     use super::*;
     use crate::body::skeleton::KeypointConvention;
+    use crate::session::{FrameIndex, PersonId};
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, Normal};
@@ -249,6 +259,16 @@ mod tests {
             let (found, truth) = (noise.factor(confidence), truth(confidence));
             assert!((found / truth - 1.0).abs() < 0.15, "{confidence}: {found} for {truth}");
         }
+    }
+
+    /// Of detections in every second frame none was found where every second frame was looked at.
+    #[test]
+    fn frames_without_detections_are_not_sampled() {
+        let of_frame = |frame: usize| vec![(frame % 2 == 1).then_some(0); 2];
+        let detections = (0..20).map(of_frame).collect();
+        let track = PersonTrack { person: PersonId(0), first: FrameIndex(10), detections };
+        let found: Vec<usize> = frames_with_pairs(40, &[track]).step_by(2).collect();
+        assert_eq!(found, [11, 15, 19, 23, 27]);
     }
 
     #[test]
