@@ -1,4 +1,4 @@
-//! SO(3): exponential, logarithm, their Jacobians, the 6D form, rotations between directions.
+//! SO(3): exponential, logarithm, their Jacobians, rotations between directions.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -123,38 +123,6 @@ pub fn right_jacobian_inverse(w: &Vector3<f64>) -> Matrix3<f64> {
 /// Angle between two rotations, rad, 0 to pi.
 pub fn angle_between(a: &Matrix3<f64>, b: &Matrix3<f64>) -> f64 {
     log(&(a.transpose() * b)).norm()
-}
-
-/// The first two columns of a rotation, one after the other: the continuous 6D form used by networks.
-pub fn to_6d(r: &Matrix3<f64>) -> [f64; 6] {
-    [r.m11, r.m21, r.m31, r.m12, r.m22, r.m32]
-}
-
-/// A rotation from two columns by Gram and Schmidt: `b1 = a / |a|`, `b2` the part of b perpendicular to `b1`, `b3 = b1 x b2`.
-///
-/// `None` where the columns are zero or parallel.
-pub fn from_6d(columns: &[f64; 6]) -> Option<Matrix3<f64>> {
-    let [ax, ay, az, bx, by, bz] = *columns;
-    let (a, b) = (Vector3::new(ax, ay, az), Vector3::new(bx, by, bz));
-    let b1 = a.try_normalize(0.0)?;
-    let b2 = (b - b1 * b1.dot(&b)).try_normalize(1e-12 * b.norm())?;
-    // One more projection: what rounding left of b1 in a nearly parallel b was magnified by the normalisation.
-    let b2 = (b2 - b1 * b1.dot(&b2)).normalize();
-    Some(Matrix3::from_columns(&[b1, b2, b1.cross(&b2)]))
-}
-
-/// Gradient by the two columns, from the gradient by the right increment e of the rotation of [`from_6d`].
-///
-/// With the part p of b perpendicular to `b1`, `e_3 = b2 . da / |a|`, `e_2 = -b3 . da / |a|`,
-/// `e_1 = b3 . (db - (b1 . b) da / |a|) / |p|`. Zero where the columns are zero or parallel.
-pub fn from_6d_backward(columns: &[f64; 6], d_increment: &Vector3<f64>) -> [f64; 6] {
-    let Some(r) = from_6d(columns) else { return [0.0; 6] };
-    let (a, b) = (Vector3::from_column_slice(&columns[..3]), Vector3::from_column_slice(&columns[3..]));
-    let (b1, b2, b3) = (r.column(0), r.column(1), r.column(2));
-    let across = b.dot(&b2);
-    let d_a = (b2 * d_increment.z - b3 * d_increment.y - b3 * (d_increment.x * b1.dot(&b) / across)) / a.norm();
-    let d_b = b3 * (d_increment.x / across);
-    [d_a.x, d_a.y, d_a.z, d_b.x, d_b.y, d_b.z]
 }
 
 /// The smallest rotation from the direction of `a` to that of `b`; for opposite directions about an arbitrary axis
