@@ -4,7 +4,7 @@
 //! rest pose of the mean shape. How it moves with the shape is taken from the skin: as the vertex that is nearest at rest.
 
 use super::model::{BodyModel, Landmark, LandmarkTerm, ShapeDirections};
-use super::skeleton::{JOINT_NAMES, KeypointConvention};
+use super::skeleton::{JOINT_NAMES, KeypointConvention, counterpart_name};
 use super::surface::JointWeight;
 use nalgebra::Vector3;
 use sha2::{Digest, Sha256};
@@ -173,13 +173,11 @@ impl DenseLandmarks {
 
     /// For every point its counterpart on the other side, by `left_` and `right_` in the names; itself where it has none.
     pub fn mirror(&self) -> Vec<usize> {
-        let twin = |name: &str| match (name.strip_prefix("left_"), name.strip_prefix("right_")) {
-            (Some(rest), _) => Some(format!("right_{rest}")),
-            (_, Some(rest)) => Some(format!("left_{rest}")),
-            _ => None,
-        };
         let place = |name: &str| self.names().position(|other| other == name);
-        self.names().enumerate().map(|(k, name)| twin(name).and_then(|twin| place(&twin)).unwrap_or(k)).collect()
+        self.names()
+            .enumerate()
+            .map(|(k, name)| counterpart_name(name).and_then(|other| place(&other)).unwrap_or(k))
+            .collect()
     }
 
     /// The model with these points behind its own landmarks.

@@ -6,7 +6,7 @@
 //! $l = \sum_i [w_i p_i + G_i a_i] + G_b M o$ with $M = \mathrm{diag}(-1, 1, 1)$ for a right keypoint.
 
 use super::model::{BodyModel, Landmark, LandmarkTerm, ShapeDirections};
-use super::skeleton::{JOINT_NAMES, KeypointConvention, PARENTS, chain_to_root};
+use super::skeleton::{JOINT_COUNTERPARTS, KeypointConvention, PARENTS, chain_to_root};
 use nalgebra::{Matrix3, Vector3};
 
 /// Standard deviation of a joint keypoint's offset, sideways in the body at rest, m.
@@ -112,7 +112,7 @@ impl OffsetTable {
             let joint = bone_of(shown);
             let known = table.kinds.iter().position(|kind| kind.name == name);
             let kind = known.unwrap_or_else(|| {
-                let joint = if side == Side::Right { mirrored(joint) } else { joint };
+                let joint = if side == Side::Right { JOINT_COUNTERPARTS[joint] } else { joint };
                 let prior_sigma = prior_sigma(name, side);
                 let can_be_biased = SEPARABLE.contains(&name);
                 table.kinds.push(OffsetKind {
@@ -181,16 +181,12 @@ fn common_ancestor(a: usize, b: usize) -> usize {
     chain_to_root(a).find(|joint| chain_to_root(b).any(|other| other == *joint)).unwrap_or(0)
 }
 
-fn mirrored(joint: usize) -> usize {
-    let twin = JOINT_NAMES[joint].replacen("right_", "left_", 1);
-    JOINT_NAMES.iter().position(|name| *name == twin).unwrap_or(joint)
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::default_body::default_body;
     use super::super::kinematics::{Pose, landmark_position, posed};
     use super::super::model::Betas;
+    use super::super::skeleton::JOINT_NAMES;
     use super::*;
 
     fn place(model: &BodyModel, name: &str) -> Vector3<f64> {

@@ -18,7 +18,7 @@
 
 mod sigmas;
 
-use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
+use crate::body::skeleton::{JOINT_COUNTERPARTS, N_JOINTS, PARENTS};
 use crate::geometry::euler::{EulerAngles, yxy_angles, zxy_angles};
 use nalgebra::{Matrix3, Vector3};
 
@@ -143,27 +143,16 @@ fn parts(angles: EulerAngles) -> [f64; 3] {
     [angles.outer, angles.middle, angles.inner]
 }
 
-/// The joint of the same name on the other side.
-fn twin(joint: usize) -> usize {
-    let name = JOINT_NAMES[joint];
-    let other = match name.split_once('_') {
-        Some(("left", part)) => format!("right_{part}"),
-        Some(("right", part)) => format!("left_{part}"),
-        _ => return joint,
-    };
-    JOINT_NAMES.iter().position(|name| *name == other).unwrap_or(joint)
-}
-
 fn mirrored_points(points: &[Vector3<f64>; N_JOINTS]) -> [Vector3<f64>; N_JOINTS] {
-    std::array::from_fn(|joint| {
-        let p = points[twin(joint)];
+    JOINT_COUNTERPARTS.map(|joint| {
+        let p = points[joint];
         Vector3::new(-p.x, p.y, p.z)
     })
 }
 
 fn mirrored_rotations(rotations: &[Matrix3<f64>; N_JOINTS]) -> [Matrix3<f64>; N_JOINTS] {
     let mirror = Matrix3::from_diagonal(&Vector3::new(-1.0, 1.0, 1.0));
-    std::array::from_fn(|joint| mirror * rotations[twin(joint)] * mirror)
+    JOINT_COUNTERPARTS.map(|joint| mirror * rotations[joint] * mirror)
 }
 
 #[cfg(test)]

@@ -12,6 +12,10 @@ pub const JOINT_NAMES: [&str; N_JOINTS] = [
     "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
 ];
 
+/// For each joint the one on the other side of the body; itself on the midline.
+pub const JOINT_COUNTERPARTS: [usize; N_JOINTS] =
+    [0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20, 23, 22];
+
 /// Parent of every joint; the pelvis is the root.
 pub const PARENTS: [Option<usize>; N_JOINTS] = [
     None,
@@ -168,12 +172,17 @@ impl KeypointConvention {
 
     /// For each named keypoint its left/right counterpart (itself on the midline).
     pub fn mirror(self) -> Vec<usize> {
-        let names = self.names();
-        let twin = |name: &str| match name.strip_prefix("left_") {
-            Some(rest) => format!("right_{rest}"),
-            None => name.strip_prefix("right_").map_or_else(|| name.to_owned(), |rest| format!("left_{rest}")),
-        };
-        names.iter().enumerate().map(|(i, n)| self.index_of(&twin(n)).unwrap_or(i)).collect()
+        let counterpart = |name: &str| self.index_of(&counterpart_name(name)?);
+        self.names().iter().enumerate().map(|(i, name)| counterpart(name).unwrap_or(i)).collect()
+    }
+}
+
+/// The name of the joint or point on the other side, by `left_` and `right_`; `None` on the midline.
+pub fn counterpart_name(name: &str) -> Option<String> {
+    match (name.strip_prefix("left_"), name.strip_prefix("right_")) {
+        (Some(part), _) => Some(format!("right_{part}")),
+        (_, Some(part)) => Some(format!("left_{part}")),
+        _ => None,
     }
 }
 
@@ -221,6 +230,13 @@ const BLAZEPOSE_NAMES: [&str; 33] = [
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn counterparts_of_joints_follow_their_names() {
+        for (name, &counterpart) in JOINT_NAMES.into_iter().zip(&JOINT_COUNTERPARTS) {
+            assert_eq!(JOINT_NAMES[counterpart], counterpart_name(name).as_deref().unwrap_or(name));
+        }
+    }
 
     #[test]
     fn conventions_parse_their_names_and_mirror_back() {

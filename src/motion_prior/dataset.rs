@@ -4,7 +4,7 @@ use super::chart::LocalRotations;
 use super::interpolation::{resampled, resampled_len};
 use super::joints::Bones;
 use super::motion_file::{MotionProblem, read_take};
-use crate::body::skeleton::N_JOINTS;
+use crate::body::skeleton::JOINT_COUNTERPARTS;
 use nalgebra::{Matrix3, Vector3};
 use sha2::{Digest, Sha256};
 use std::io;
@@ -148,10 +148,8 @@ pub fn mirrored_path(path: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
 
 /// A take with left and right exchanged: every rotation is reflected at the plane x = 0.
 pub fn mirrored(take: &[LocalRotations]) -> Vec<LocalRotations> {
-    const MIRROR: [usize; N_JOINTS] =
-        [0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20, 23, 22];
     let flip = Matrix3::from_diagonal(&nalgebra::Vector3::new(-1.0, 1.0, 1.0));
-    take.iter().map(|frame| std::array::from_fn(|j| flip * frame[MIRROR[j]] * flip)).collect()
+    take.iter().map(|frame| JOINT_COUNTERPARTS.map(|joint| flip * frame[joint] * flip)).collect()
 }
 
 /// One of this number of subjects is held out of training.
@@ -179,6 +177,7 @@ pub fn split_by_subject(takes: &[Take]) -> [Vec<&Take>; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::body::skeleton::N_JOINTS;
     use crate::geometry::rotation;
     use nalgebra::Vector3;
 

@@ -22,14 +22,14 @@ mod tubes;
 
 use super::anthropometry::Population;
 use super::model::ShapeDirections;
-use super::skeleton::{JOINT_NAMES, KeypointConvention, N_JOINTS};
+use super::skeleton::{JOINT_COUNTERPARTS, JOINT_NAMES, KeypointConvention, N_JOINTS};
 use super::surface::{JointWeight, Surface, SurfacePoint, VertexWeight};
 use half_mesh::{HalfMesh, half_surface};
 use nalgebra::Vector3;
 use places::{VariedPlace, joint_place, side_and_part, surface_place, varied};
 use regressor::{Candidate, convex_row};
 use relaxation::relax;
-use skin::{Tips, mirror_joint, skin_weights};
+use skin::{Tips, skin_weights};
 use std::collections::BTreeSet;
 use tubes::surface_directions;
 
@@ -103,7 +103,7 @@ impl Mirror {
 
     /// The whole surface, without regressor and points.
     fn whole(&self, half: &HalfMesh, directions: &[ShapeDirections], skin: &[Vec<JointWeight>]) -> Surface {
-        let other_side = |v: &JointWeight| JointWeight { joint: mirror_joint(v.joint), ..*v };
+        let other_side = |v: &JointWeight| JointWeight { joint: JOINT_COUNTERPARTS[v.joint], ..*v };
         let originals = self.image[self.n_half..].to_vec();
         let vertices = originals.iter().map(|&i| reflected(&half.vertices[i]));
         let shapes = originals.iter().map(|&i| {
@@ -170,7 +170,7 @@ fn regressor(
     let mut rows: [Vec<VertexWeight>; N_JOINTS] = std::array::from_fn(|_| Vec::new());
     for (j, name) in JOINT_NAMES.iter().enumerate() {
         rows[j] = match name.starts_with("right_") {
-            true => mirror.row(&rows[mirror_joint(j)]),
+            true => mirror.row(&rows[JOINT_COUNTERPARTS[j]]),
             false => candidates.row(name, &places[j]),
         };
     }

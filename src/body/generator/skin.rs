@@ -2,7 +2,7 @@
 
 use super::half_mesh::HalfMesh;
 use super::relaxation::neighbours;
-use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
+use crate::body::skeleton::{JOINT_COUNTERPARTS, JOINT_NAMES, N_JOINTS, PARENTS};
 use crate::body::surface::JointWeight;
 use nalgebra::Vector3;
 
@@ -110,19 +110,8 @@ fn smoothed(rows: &[Row], near: &[Vec<usize>], on_plane: &[bool]) -> Vec<Row> {
     (0..rows.len()).map(smooth).collect()
 }
 
-/// The joint on the other side; itself on the midline.
-pub(super) fn mirror_joint(joint: usize) -> usize {
-    let name = JOINT_NAMES[joint];
-    let other = match (name.strip_prefix("left_"), name.strip_prefix("right_")) {
-        (Some(part), _) => format!("right_{part}"),
-        (_, Some(part)) => format!("left_{part}"),
-        _ => return joint,
-    };
-    JOINT_NAMES.iter().position(|n| *n == other).unwrap_or(joint)
-}
-
 fn mirrored(row: &Row) -> Row {
-    std::array::from_fn(|j| row[mirror_joint(j)])
+    JOINT_COUNTERPARTS.map(|joint| row[joint])
 }
 
 fn mean(a: Row, b: Row) -> Row {
@@ -142,7 +131,7 @@ fn strongest(row: &Row, vertex: &Vector3<f64>) -> Vec<JointWeight> {
     let mut shares: Vec<JointWeight> = (0..N_JOINTS).filter(allowed).map(share).filter(|s| s.weight > 2e-3).collect();
     shares.sort_by(|a, b| b.weight.total_cmp(&a.weight).then(a.joint.cmp(&b.joint)));
     let splits_a_pair = |n: usize, shares: &[JointWeight]| {
-        vertex.x == 0.0 && shares.len() > n && shares[n - 1].joint == mirror_joint(shares[n].joint)
+        vertex.x == 0.0 && shares.len() > n && shares[n - 1].joint == JOINT_COUNTERPARTS[shares[n].joint]
     };
     let kept = if splits_a_pair(MOST, &shares) { MOST - 1 } else { MOST };
     shares.truncate(kept);

@@ -1,7 +1,7 @@
 //! Standard deviations of joint angles.
 
-use super::{AXIAL, N_ANGLES, SIDE, right, twin};
-use crate::body::skeleton::N_JOINTS;
+use super::{AXIAL, N_ANGLES, SIDE, right};
+use crate::body::skeleton::{JOINT_COUNTERPARTS, N_JOINTS};
 use nalgebra::Vector3;
 
 /// Standard deviations of the trunk's and the head's angles that positions of joints do not explain, degrees; in the order of
@@ -68,7 +68,9 @@ pub fn angle_sigmas(
         sigmas[k] = unexplained[k].hypot(positional(&axial, k / 3));
     }
     for (side, is_left) in [false, true].into_iter().enumerate() {
-        let of_side = |segment: [usize; 2]| direction(if is_left { segment.map(twin) } else { segment });
+        let of_side = |segment: [usize; 2]| {
+            direction(if is_left { segment.map(|joint| JOINT_COUNTERPARTS[joint]) } else { segment })
+        };
         let [thigh, shank, foot] = [right::THIGH, right::SHANK, right::FOOT].map(of_side);
         let [upper_arm, forearm, hand] = [right::UPPER_ARM, right::FOREARM, right::HAND].map(of_side);
         let segments = [

@@ -1,6 +1,7 @@
 //! Known poses of the default body.
 
 use super::*;
+use crate::body::skeleton::JOINT_NAMES;
 use crate::body::{Betas, default_body};
 use crate::geometry::rotation::exp;
 
