@@ -2,7 +2,8 @@
 
 use super::consensus::{ConsensusProblem, find_consensus};
 use crate::geometry::p3p::{PointCorrespondence, p3p};
-use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
+use crate::geometry::projection::by_left_increment;
+use crate::geometry::{Distortion, Intrinsics, Rigid};
 use crate::optim::dense_levenberg_marquardt::{QuadraticModel, descend};
 use crate::optim::robust::{geman_mcclure_rho, geman_mcclure_weight};
 use nalgebra::{SVector, Vector2};
@@ -99,15 +100,11 @@ fn linearize(camera_from_world: &Rigid, points: &[PointCorrespondence], scale2: 
         if !squared.is_finite() {
             continue; // a point that is not finite would stop the descent for all others
         }
-        // d point = rho + phi x point.
-        let by_turn = -by_point * rotation::skew(&in_camera);
+        let by_pose = by_left_increment(&by_point, &in_camera);
         let weight = geman_mcclure_weight(squared, scale2);
         model.cost += geman_mcclure_rho(squared, scale2);
         for axis in 0..2 {
-            let mut row = SVector::<f64, 6>::zeros();
-            row.fixed_rows_mut::<3>(0).copy_from(&by_point.row(axis).transpose());
-            row.fixed_rows_mut::<3>(3).copy_from(&by_turn.row(axis).transpose());
-            model.add(residual[axis], &row, weight, 0.0);
+            model.add(residual[axis], &by_pose.row(axis).transpose(), weight, 0.0);
         }
     }
     model
@@ -116,6 +113,7 @@ fn linearize(camera_from_world: &Rigid, points: &[PointCorrespondence], scale2: 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::rotation;
     use nalgebra::Vector3;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;

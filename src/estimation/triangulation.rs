@@ -1,7 +1,6 @@
 //! Robust triangulation from several views, and the covariance of triangulated points.
 
-use crate::geometry::projection::squared_offset;
-use crate::geometry::rotation::skew;
+use crate::geometry::projection::{by_left_increment, squared_offset};
 use crate::geometry::triangulation::{PointObservation, RayConstraint, nearest_point, triangulate_linear};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::optim::robust::geman_mcclure_weight;
@@ -94,11 +93,8 @@ pub fn point_by_camera(
     let camera = observation.camera_from_world;
     let in_camera = camera.transform(point);
     let (_, by_point) = observation.intrinsics.project_with_jacobian(&in_camera)?;
-    let left = covariance * camera.rotation.transpose() * by_point.transpose() * by_point;
-    let mut by_camera = Matrix3x6::zeros();
-    by_camera.fixed_columns_mut::<3>(0).copy_from(&-left);
-    by_camera.fixed_columns_mut::<3>(3).copy_from(&(left * skew(&in_camera)));
-    Some(by_camera * (observation.sigma_px * observation.sigma_px).recip())
+    let by_pixel = covariance * camera.rotation.transpose() * by_point.transpose();
+    Some(by_pixel * by_left_increment(&by_point, &in_camera) * -observation.sigma_px.powi(-2))
 }
 
 /// Derivative of the reprojection error in sigmas to the point (1 / m); `None` behind the camera.

@@ -1,7 +1,7 @@
 //! The image of a point against its detection.
 
 use super::position_cost::PositionCost;
-use crate::geometry::projection::project_normalized;
+use crate::geometry::projection::{by_left_increment, project_normalized};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::optim::robust::{Robust, geman_mcclure, geman_mcclure_ceiling};
 use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Matrix3, Vector2, Vector3};
@@ -59,16 +59,10 @@ pub fn linearize(
     let (predicted, by_p) = intrinsics.project_with_jacobian(&p)?;
     let per_sigma = sigma_px.recip();
     let by_p = by_p * per_sigma;
-    let (u, v) = (by_p.row(0), by_p.row(1));
-    #[rustfmt::skip]
-    let by_camera = Matrix2x6::new(
-        u[0], u[1], u[2], u[2] * p.y - u[1] * p.z, u[0] * p.z - u[2] * p.x, u[1] * p.x - u[0] * p.y,
-        v[0], v[1], v[2], v[2] * p.y - v[1] * p.z, v[0] * p.z - v[2] * p.x, v[1] * p.x - v[0] * p.y,
-    );
     Some(Reprojection {
         residual: (predicted - pixel) * per_sigma,
         by_point: by_p * camera_from_world.rotation,
-        by_camera,
+        by_camera: by_left_increment(&by_p, &p),
         by_log_focal: (predicted - Vector2::new(intrinsics.cx, intrinsics.cy)) * per_sigma,
     })
 }
