@@ -109,10 +109,15 @@ pub(super) fn read_continuation(result: &Path, sha256: &str, options: &Options) 
 /// A warning where the session gives camera poses that the options do not use.
 pub(super) fn ignored_poses(options: &Options, cameras: &[CameraFacts]) -> Option<String> {
     let n = cameras.iter().filter(|camera| camera.has_extrinsics).count();
+    let remedy = match (n == cameras.len(), cameras.len()) {
+        (false, _) => "give those of every camera and use \"fixed\" or \"refine\"",
+        (true, 1) => "use \"fixed\"",
+        (true, _) => "use \"fixed\" or \"refine\"",
+    };
     (n > 0 && options.extrinsics == Extrinsics::Estimate).then(|| {
         format!(
-            "the session gives R and t of {n} of {} cameras, which `extrinsics: estimate` ignores; use \"fixed\" or \"refine\" \
-             to keep them and their world",
+            "the session gives R and t of {n} of {} cameras, which `extrinsics: estimate` ignores; {remedy} to keep them and their \
+             world",
             cameras.len()
         )
     })
