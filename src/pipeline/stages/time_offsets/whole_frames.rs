@@ -13,7 +13,7 @@ use crate::pipeline::capture::Capture;
 use crate::progress::{Canceled, Progress};
 use rayon::prelude::*;
 
-/// Largest offset between two cameras, s: half as much from a common time either way.
+/// Largest offset between two cameras, s: half as much from a common time either way. Texts of `unsolvable` name it.
 const MAX_OFFSET_SECS: f64 = 1.25;
 
 /// Spacing of the coarse grid, s: in that time people move by less than the tolerance of the score.
