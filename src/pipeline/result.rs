@@ -13,7 +13,7 @@ use super::stages::fit_statistics::{FitStatistics, uncertain_frames};
 use super::stages::hand_association::associated_hands;
 use super::stages::hand_fit::fit_hands;
 use super::stages::joint_trajectories::joint_trajectories;
-use super::stages::verdict::input::VerdictInput;
+use super::stages::verdict::input::{FollowedPerson, PoseChange, VerdictInput};
 use super::stages::verdict::quality;
 use super::stages::world_frame::world_from_solution;
 use crate::body::BodyModel;
@@ -21,14 +21,14 @@ use crate::body::hand::with_hand_landmarks;
 use crate::body::scale::FittedStature;
 use crate::geometry::free_network::CameraCovariance;
 use crate::geometry::similarity::similarity_from_cameras;
-use crate::geometry::{Rigid, Similarity};
+use crate::geometry::{Rigid, Similarity, rotation};
 use crate::optim::robust::{INTERVAL_95, median, quantile};
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{
     BodyModelId, KeypointBias, LandmarkTableId, PenetrationReport, Report, ScaleReport, SigmaSummary, SolvedCamera,
 };
 use crate::session::recording::UpAxis;
-use crate::session::{BodyMotion, JointTrajectory, PersonTrack, Reconstruction, Session, Suspicion};
+use crate::session::{BodyMotion, FrameIndex, JointTrajectory, PersonTrack, Reconstruction, Session, Suspicion, View};
 use nalgebra::Vector3;
 use std::borrow::Cow;
 
@@ -302,6 +302,20 @@ impl Solution {
             .collect()
     }
 
+    /// How far the cameras are from the poses that the session gives.
+    fn pose_changes(&self, session: &Session) -> Vec<PoseChange> {
+        let cameras = session.views.iter().zip(&self.calibration.cameras);
+        let change = |(view, camera): (&View, &Option<Rigid>)| {
+            let (given, camera) = (view.camera_from_world?, camera.as_ref()?);
+            Some(PoseChange {
+                camera: view.id.clone(),
+                angle_deg: rotation::angle_between(&given.rotation, &camera.rotation).to_degrees(),
+                distance_mm: 1e3 * (given.center() - camera.center()).norm(),
+            })
+        };
+        cameras.filter_map(change).collect()
+    }
+
     fn report(
         &self,
         capture: &Capture,
@@ -320,6 +334,16 @@ impl Solution {
             person.joint_sigma_mm = joint_sigma(motion);
             person.uncertain_frames = uncertain_frames(session, track, motion);
         }
+        let without_body: Vec<FollowedPerson> = (self.calibration.association.tracks.iter())
+            .filter(|track| motions.iter().all(|motion| motion.person != track.person))
+            .map(|track| FollowedPerson {
+                id: track.person.0,
+                first_frame: session.frame_number(track.first),
+                last_frame: session.frame_number(FrameIndex(track.first.0 + track.detections.len().saturating_sub(1))),
+            })
+            .collect();
+        let changes =
+            if capture.options.extrinsics == Extrinsics::Refine { self.pose_changes(session) } else { Vec::new() };
         let n_detections: usize = cameras.iter().map(|c| c.n_detections).sum();
         let n_rejected: usize = cameras.iter().map(|c| c.n_rejected_detections).sum();
         let adjusted = self.calibration.adjusted.as_ref();
@@ -329,6 +353,7 @@ impl Solution {
             fps: session.fps,
             cameras: &cameras,
             people: &people,
+            without_body: &without_body,
             geometry: &geometry,
             scale: self.scale.as_ref(),
             penetration: &penetration,
@@ -339,6 +364,7 @@ impl Solution {
             suspicions: &self.suspicions,
             lens_evidence,
             estimated: capture.estimates_extrinsics(),
+            changes: &changes,
         };
         Report {
             stages: self.calibration.stages.clone(),

@@ -1,6 +1,6 @@
 //! Problems of the cameras.
 
-use super::input::VerdictInput;
+use super::input::{PoseChange, VerdictInput};
 use super::reason::{Bounds, Reason};
 use crate::optim::robust::median;
 use crate::session::reconstruction::CameraReport;
@@ -33,10 +33,16 @@ const ODD_LOSS: f64 = 0.2;
 const ODD_LOSS_OF_BOTH: f64 = 0.12;
 const ODD_KEYPOINTS: f64 = 3.0;
 
+/// Refined cameras this far from their given poses contradict them: four standard deviations, as which given poses count as known to
+/// 0.3 degrees and 20 mm per axis.
+const FAR_FROM_GIVEN_DEG: f64 = 1.2;
+const FAR_FROM_GIVEN_MM: f64 = 80.0;
+
 pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
     let mut reasons: Vec<Reason> = unsolved(input).chain(odd_cameras(input)).chain(disagreement(input)).collect();
     reasons.extend(input.cameras.iter().filter_map(still));
     reasons.extend(doubtful_lenses(input));
+    reasons.extend(input.changes.iter().filter_map(far_from_given));
     if input.estimated {
         reasons.extend(uncertain(input));
         reasons.extend(ambiguous(input));
@@ -70,10 +76,15 @@ fn odd_cameras(input: &VerdictInput) -> Vec<Reason> {
     }
     let others_of = |k: usize| -> Vec<&CameraReport> { [&judged[..k], &judged[k + 1..]].concat() };
     let unnamed = judged.iter().enumerate().filter(|(_, camera)| !is_named(input, camera));
-    unnamed.filter_map(|(k, camera)| odd_camera(camera, &others_of(k))).collect()
+    unnamed.filter_map(|(k, camera)| odd_camera(input, camera, &others_of(k))).collect()
 }
 
-fn odd_camera(camera: &CameraReport, others: &[&CameraReport]) -> Option<Reason> {
+/// What given poses add to the things to check.
+fn given_poses(input: &VerdictInput) -> &'static str {
+    if input.estimated { "" } else { "R and t, " }
+}
+
+fn odd_camera(input: &VerdictInput, camera: &CameraReport, others: &[&CameraReport]) -> Option<Reason> {
     let compared = |statistic: fn(&CameraReport) -> Option<f64>| {
         let usual = median(&mut others.iter().filter_map(|other| statistic(other)).collect::<Vec<_>>())?;
         Some((statistic(camera)?, usual))
@@ -99,9 +110,12 @@ fn odd_camera(camera: &CameraReport, others: &[&CameraReport]) -> Option<Reason>
     } else {
         return None;
     };
-    let remedy =
-        "check whether it was moved during the recording, its intrinsics and its synchronisation, or leave it out";
-    Some(Reason::warn(format!("camera {} {found}; {remedy}", camera.id)))
+    Some(Reason::warn(format!(
+        "camera {} {found}; check whether it was moved during the recording, its {}intrinsics and synchronisation, or leave it \
+         out",
+        camera.id,
+        given_poses(input)
+    )))
 }
 
 /// Share of a camera's detections without a person, 0 to 1; what stays at one place has a reason of its own.
@@ -134,10 +148,11 @@ fn disagreement(input: &VerdictInput) -> Option<Reason> {
     let explained = explained_of_moving(input);
     let verdict = EXPLAINED.on_low(explained).filter(|_| input.n_placed() >= 2)?;
     let text = format!(
-        "only {:.0} % of confident keypoints agree between cameras (expected above {:.0} %); check synchronisation and \
-         intrinsics, or look for people that only one camera sees",
+        "only {:.0} % of confident keypoints agree between cameras (expected above {:.0} %); check {}intrinsics and \
+         synchronisation, or look for people that only one camera sees",
         100.0 * explained,
-        100.0 * EXPLAINED.warn
+        100.0 * EXPLAINED.warn,
+        given_poses(input)
     );
     Some(Reason { verdict, text })
 }
@@ -171,6 +186,16 @@ fn doubtful_lenses(input: &VerdictInput) -> Option<Reason> {
          by some per cent, and cameras by centimetres; calibrate the lenses, or have people walk through more of the volume for longer",
         evidence.exp()
     )))
+}
+
+/// A camera whose given pose the recording contradicts, and which that pose holds back.
+fn far_from_given(change: &PoseChange) -> Option<Reason> {
+    let PoseChange { camera, angle_deg, distance_mm } = change;
+    let text = format!(
+        "camera {camera} is {angle_deg:.1} degrees and {distance_mm:.0} mm from its given pose (expected below {FAR_FROM_GIVEN_DEG} and \
+         {FAR_FROM_GIVEN_MM}), which draws it and the others towards a wrong place; correct its R and t, or choose extrinsics: estimate"
+    );
+    (*angle_deg > FAR_FROM_GIVEN_DEG || *distance_mm > FAR_FROM_GIVEN_MM).then(|| Reason::warn(text))
 }
 
 fn ambiguous(input: &VerdictInput) -> Option<Reason> {

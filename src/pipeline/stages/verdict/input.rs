@@ -12,6 +12,8 @@ pub struct VerdictInput<'a> {
     pub cameras: &'a [CameraReport],
     /// All persons of the result.
     pub people: &'a [PersonReport],
+    /// People that were followed and have no body.
+    pub without_body: &'a [FollowedPerson],
     /// Coverage of the persons by the views.
     pub geometry: &'a GeometryReport,
     /// The metric scale; `None` where nothing determines it.
@@ -32,6 +34,30 @@ pub struct VerdictInput<'a> {
     pub lens_evidence: Option<f64>,
     /// Whether the cameras were estimated without a start.
     pub estimated: bool,
+    /// How far the cameras are from their given poses, where these were refined; else empty.
+    pub changes: &'a [PoseChange],
+}
+
+/// A refined camera against its given pose.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseChange {
+    /// The camera's name.
+    pub camera: String,
+    /// Between the orientations, degrees.
+    pub angle_deg: f64,
+    /// Between the centres, mm.
+    pub distance_mm: f64,
+}
+
+/// A person that was followed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FollowedPerson {
+    /// The person's number.
+    pub id: usize,
+    /// Number of the first frame.
+    pub first_frame: i64,
+    /// Number of the last frame.
+    pub last_frame: i64,
 }
 
 impl VerdictInput<'_> {

@@ -27,6 +27,7 @@ pub fn quality(input: &VerdictInput) -> Quality {
         reasons.extend(geometry::reasons(input));
         reasons.extend(people::reasons(input));
     }
+    reasons.extend(people::without_body(input));
     reasons.extend(no_person(input));
     let verdict = reasons.iter().map(|reason| reason.verdict).max().unwrap_or(Verdict::Pass);
     Quality { verdict, reasons: reasons.into_iter().map(|reason| reason.text).collect() }
@@ -49,8 +50,14 @@ fn no_person(input: &VerdictInput) -> Option<Reason> {
     let n_placed = input.n_placed();
     let text = match n_placed {
         1 => "no person was detected for 0.3 s; check that the keypoint file belongs to this recording",
-        _ => "no person was seen by two cameras at once for 0.3 s; check that the cameras overlap and are synchronised",
+        _ if input.estimated => {
+            "no person was seen by two cameras at once for 0.3 s; check that the cameras overlap and are synchronised"
+        }
+        _ => {
+            "no person was seen by two cameras at once for 0.3 s; check that R and t are right, in metres, and that the cameras \
+             overlap and are synchronised"
+        }
     };
     let is_possible = n_placed >= input.cameras.len().min(2);
-    (is_possible && input.people.is_empty()).then(|| Reason::reject(text.to_owned()))
+    (is_possible && input.people.is_empty() && input.without_body.is_empty()).then(|| Reason::reject(text.to_owned()))
 }

@@ -1,7 +1,7 @@
 //! Problems of single persons: too few views, uncertain or contradicted joints, implausible bones and motion.
 
 use super::geometry::RAY_ANGLE_DEG;
-use super::input::VerdictInput;
+use super::input::{FollowedPerson, VerdictInput};
 use super::reason::{Bounds, Reason};
 use crate::session::reconstruction::{KeypointReport, PersonReport, UncertainFrames, Verdict};
 
@@ -10,6 +10,9 @@ const IN_TWO_VIEWS: Bounds = Bounds { warn: 0.6, reject: 0.2 };
 
 /// Median standard deviation of a person's keypoints in space, mm. Four cameras all around and a detector of 20 mm give 22.
 const SIGMA_MM: Bounds = Bounds { warn: UncertainFrames::BOUND_MM, reject: 250.0 };
+
+/// Shortest time of a person without a body that is warned of beside others, s: passers-by may show a part of themselves for a moment.
+const FOLLOWED_SECS: f64 = 1.0;
 
 /// Shortest stretch of uncertain frames that is warned of, s; shorter ones do not put a whole recording in doubt, and are only listed.
 const UNCERTAIN_SECS: f64 = 1.0;
@@ -55,6 +58,21 @@ pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
         of_each.iter_mut().flatten().for_each(|reason| reason.verdict = Verdict::Warn);
     }
     of_each.into_iter().flatten().chain(penetration(input)).collect()
+}
+
+/// People that are missing from the result although they were followed.
+pub(super) fn without_body(input: &VerdictInput) -> impl Iterator<Item = Reason> {
+    let is_alone = input.people.is_empty();
+    let secs = |person: &&FollowedPerson| (person.last_frame - person.first_frame + 1) as f64 / input.fps;
+    let missing = input.without_body.iter().filter(move |person| is_alone || secs(person) >= FOLLOWED_SECS);
+    missing.map(move |person| {
+        let text = format!(
+            "person {} was followed in frames {} to {} and is left out: hips and shoulders, to which a body is fitted first, are never \
+             located together; aim the cameras so that they show both, or use a detector that gives them",
+            person.id, person.first_frame, person.last_frame
+        );
+        if is_alone { Reason::reject(text) } else { Reason::warn(text) }
+    })
 }
 
 fn hardly_seen(person: &PersonReport) -> Option<Reason> {

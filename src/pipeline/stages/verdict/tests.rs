@@ -1,5 +1,6 @@
 //! Every reason, from constructed input: a good recording with one problem.
 
+use super::input::{FollowedPerson, PoseChange};
 use super::*;
 use crate::session::reconstruction::{
     CameraReport, ErrorSummary, GeometryReport, KeypointReport, Overlap, PenetrationReport, PersonReport, ScaleReport,
@@ -12,6 +13,7 @@ use crate::session::{Suspicion, SuspicionCode};
 struct OwnedInput {
     cameras: Vec<CameraReport>,
     people: Vec<PersonReport>,
+    without_body: Vec<FollowedPerson>,
     geometry: GeometryReport,
     scale: ScaleReport,
     penetration: PenetrationReport,
@@ -22,6 +24,7 @@ struct OwnedInput {
     suspicions: Vec<Suspicion>,
     lens_evidence: Option<f64>,
     estimated: bool,
+    changes: Vec<PoseChange>,
 }
 
 fn error(median: f64) -> Option<ErrorSummary> {
@@ -82,6 +85,7 @@ impl OwnedInput {
         Self {
             cameras: (0..4).map(camera).collect(),
             people: (0..2).map(person).collect(),
+            without_body: Vec::new(),
             geometry: GeometryReport { people_spread_m: Some(1.0), ray_angle_deg: Some(80.0), dilution: Some(1.3) },
             scale: ScaleReport { value: 2.0, interval95: [1.8, 2.2], evidence: "2 people".to_owned() },
             penetration: PenetrationReport::default(),
@@ -92,6 +96,7 @@ impl OwnedInput {
             suspicions: Vec::new(),
             lens_evidence: None,
             estimated: true,
+            changes: Vec::new(),
         }
     }
 
@@ -100,6 +105,7 @@ impl OwnedInput {
             fps: 30.0,
             cameras: &self.cameras,
             people: &self.people,
+            without_body: &self.without_body,
             geometry: &self.geometry,
             scale: Some(&self.scale),
             penetration: &self.penetration,
@@ -110,6 +116,7 @@ impl OwnedInput {
             suspicions: &self.suspicions,
             lens_evidence: self.lens_evidence,
             estimated: self.estimated,
+            changes: &self.changes,
         })
     }
 }
@@ -255,6 +262,37 @@ fn given_cameras_need_no_movement_of_people() {
     assert_eq!(input.judged().verdict, Verdict::Pass);
 }
 
+/// A given pose that was 5 degrees off drew cameras 20 mm aside, five times their standard deviations, in a result that was a `pass`.
+#[test]
+fn names_a_given_pose_that_cameras_contradict() {
+    let refined = |angle_deg: f64, distance_mm: f64| {
+        move |input: &mut OwnedInput| {
+            input.estimated = false;
+            input.changes = vec![PoseChange { camera: "cam2".to_owned(), angle_deg, distance_mm }];
+        }
+    };
+    assert_reason(Verdict::Warn, &["cam2", "4.8 degrees and 12 mm", "R and t"], refined(4.8, 12.0));
+    assert_reason(Verdict::Warn, &["0.4 degrees and 120 mm", "estimate"], refined(0.4, 120.0));
+    let mut near = OwnedInput::good();
+    refined(0.6, 40.0)(&mut near);
+    assert_eq!(near.judged().verdict, Verdict::Pass);
+}
+
+/// Poses in millimetres or of another camera were answered with advice about synchronisation and intrinsics.
+#[test]
+fn given_poses_are_among_the_things_to_check() {
+    let words = ["R and t"];
+    let given = |change: fn(&mut OwnedInput)| {
+        move |input: &mut OwnedInput| {
+            (input.estimated, input.sigma_angle_deg) = (false, None);
+            change(input);
+        }
+    };
+    assert_reason(Verdict::Warn, &words, given(|input| input.cameras[2].reprojection_mm = error(40.0)));
+    assert_reason(Verdict::Reject, &words, given(|input| input.explained = 0.1));
+    assert_reason(Verdict::Reject, &words, given(|input| input.people.clear()));
+}
+
 #[test]
 fn names_a_person_seen_by_single_cameras() {
     let words = ["person 1", "100 to 399", "aim another camera"];
@@ -264,6 +302,21 @@ fn names_a_person_seen_by_single_cameras() {
         input.people.remove(0);
         input.people[0].share_in_two_views = 0.1;
     });
+}
+
+/// A person at a table, whose hips no image showed, was missing from a result that was a `pass`; alone, they were said never to have
+/// been seen by two cameras.
+#[test]
+fn names_people_that_have_no_body() {
+    let followed = |last_frame| vec![FollowedPerson { id: 4, first_frame: 100, last_frame }];
+    let words = ["person 4", "frames 100 to 160", "left out", "hips and shoulders", "aim the cameras"];
+    assert_reason(Verdict::Warn, &words, |input| input.without_body = followed(160));
+    assert_reason(Verdict::Reject, &["person 4", "hips", "aim"], |input| {
+        (input.without_body, input.people) = (followed(110), Vec::new());
+    });
+    let mut passing = OwnedInput::good();
+    passing.without_body = followed(110);
+    assert_eq!(passing.judged().verdict, Verdict::Pass, "a moment");
 }
 
 /// A capture of three cameras had been a `pass` with a person 0.4 m off for the two seconds that one of them showed.
