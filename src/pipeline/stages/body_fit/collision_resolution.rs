@@ -25,7 +25,7 @@ const STEPS: usize = 3;
 const TOLERATED: f64 = 0.01;
 /// An overlap is tried again where it is less than this share of what it was when it was last tried. What observations hold in place stays,
 /// unless the other person moves out of it.
-const TRIED_AGAIN: f64 = 0.8;
+const TRIED_AGAIN: f64 = 0.9;
 
 /// Moves overlapping persons apart if `resolve`, and reports the depth of overlaps before and after. `first_frame`: number of
 /// the session's first frame.

@@ -22,6 +22,7 @@ use super::context::FitContext;
 use super::gap_completion::{Purpose, completed_gaps};
 use super::motion_problem::MotionProblem;
 use super::objective::Objective;
+use super::observations::Observations;
 use super::person_motion::PersonFit;
 use super::pixel_residuals::{DetectedPixels, shared_error_variance};
 use super::single_camera::SingleCamera;
@@ -92,7 +93,7 @@ fn window_uncertainty(
     window: &Range<usize>,
 ) -> Option<MotionUncertainty> {
     let frames = context.with_halo(window, person.valid.len());
-    let stride = rough_stride(context.frame_interval);
+    let stride = telling_stride(&person.observations, &frames, rough_stride(context.frame_interval));
     let observations = person.observations.thinned(frames.clone(), stride);
     let state = person.fitted.state.thinned(frames.clone(), stride);
     let slow = context.noise.map_or(0.0, |noise| noise.typical().autocorrelation);
@@ -176,6 +177,14 @@ fn beta_covariance(problem: &MotionProblem, eliminated: &Eliminated) -> Option<B
     Some(information.cholesky()?.inverse().fixed_view::<N_BETAS, N_BETAS>(0, 0).into_owned())
 }
 
+/// Every how many frames one is taken: `stride`, or all where these show less than half of what all do, such as detections of every third
+/// frame alone.
+fn telling_stride(observations: &Observations, frames: &Range<usize>, stride: usize) -> usize {
+    let n_pixels =
+        |stride: usize| observations.pixels[frames.clone()].iter().step_by(stride).map(Vec::len).sum::<usize>();
+    if 2 * stride * n_pixels(stride) < n_pixels(1) { 1 } else { stride }
+}
+
 /// At frame `t` between two of every `stride`-th frame.
 fn between(sigmas: &[JointSigmas], t: usize, stride: usize) -> JointSigmas {
     let (k, part) = (t / stride, (t % stride) as f64 / stride as f64);
@@ -231,4 +240,24 @@ fn joints_by_border(
         }
     }
     by_border
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::test_fixtures::seen;
+    use super::*;
+
+    /// Where people are detected in every third frame, every third frame from another one on shows nothing: all joints were stated to
+    /// lie anywhere within 10 m.
+    #[test]
+    fn detections_of_every_third_frame_are_not_skipped() {
+        let observations = |is_seen: fn(usize) -> bool| {
+            let frame = |t: usize| if is_seen(t) { vec![seen(0, 0)] } else { Vec::new() };
+            Observations { cameras: Vec::new(), points: vec![Vec::new(); 90], pixels: (0..90).map(frame).collect() }
+        };
+        let stride = |is_seen, from: usize| telling_stride(&observations(is_seen), &(from..90), 3);
+        assert_eq!([0, 1].map(|from| stride(|_| true, from)), [3, 3]);
+        assert_eq!([0, 1, 2].map(|from| stride(|t| t.is_multiple_of(3), from)), [3, 1, 1]);
+        assert_eq!(stride(|t| t > 60, 0), 3);
+    }
 }
