@@ -18,6 +18,7 @@
 
 mod sigmas;
 
+use crate::body::kinematics::mirrored_rotations;
 use crate::body::skeleton::{JOINT_COUNTERPARTS, N_JOINTS, PARENTS};
 use crate::geometry::euler::{EulerAngles, yxy_angles, zxy_angles};
 use nalgebra::{Matrix3, Vector3};
@@ -148,11 +149,6 @@ fn mirrored_points(points: &[Vector3<f64>; N_JOINTS]) -> [Vector3<f64>; N_JOINTS
         let p = points[joint];
         Vector3::new(-p.x, p.y, p.z)
     })
-}
-
-fn mirrored_rotations(rotations: &[Matrix3<f64>; N_JOINTS]) -> [Matrix3<f64>; N_JOINTS] {
-    let mirror = Matrix3::from_diagonal(&Vector3::new(-1.0, 1.0, 1.0));
-    JOINT_COUNTERPARTS.map(|joint| mirror * rotations[joint] * mirror)
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@
 //! `p_0 = J_0 + T`, `p_j = p_par + G_par (J_j - J_par)`, `G_0 = R_0`, `G_j = G_par R_j`.
 
 use super::model::{BodyModel, Landmark, ShapeDirections, ShapedBody};
-use super::skeleton::{N_JOINTS, PARENTS, chain_to_root};
+use super::skeleton::{JOINT_COUNTERPARTS, N_JOINTS, PARENTS, chain_to_root};
 use crate::geometry::rotation::{self, skew};
 use nalgebra::{Matrix3, Vector3};
 
@@ -25,12 +25,15 @@ impl Pose {
 
     /// The pose a share of the way to another one, each joint turning at a constant rate.
     pub fn towards(&self, other: &Self, share: f64) -> Self {
-        let turned = |joint: usize| {
-            let (from, to) = (&self.rotations[joint], &other.rotations[joint]);
-            from * rotation::exp(&(rotation::log(&(from.transpose() * to)) * share))
-        };
+        let turned = |joint: usize| rotation::towards(&self.rotations[joint], &other.rotations[joint], share);
         Self { rotations: std::array::from_fn(turned), translation: self.translation.lerp(&other.translation, share) }
     }
+}
+
+/// Rotations of the mirror image at the plane x = 0, with left and right exchanged.
+pub fn mirrored_rotations(rotations: &[Matrix3<f64>; N_JOINTS]) -> [Matrix3<f64>; N_JOINTS] {
+    let mirror = Matrix3::from_diagonal(&Vector3::new(-1.0, 1.0, 1.0));
+    JOINT_COUNTERPARTS.map(|joint| mirror * rotations[joint] * mirror)
 }
 
 /// A posed skeleton in the world.

@@ -122,7 +122,7 @@ pub fn relative_camera_error(pairs: &[CameraPair]) -> Option<RelativeCameraError
 
 /// Angle of the relative rotation of two orientations, degrees.
 fn angle_between(a: &Rigid, b: &Rigid) -> f64 {
-    rotation::log(&(a.rotation.transpose() * b.rotation)).norm().to_degrees()
+    rotation::angle_between(&a.rotation, &b.rotation).to_degrees()
 }
 
 /// Mean over the points inside the true camera's image, px.

@@ -36,6 +36,18 @@ pub fn log(r: &Matrix3<f64>) -> Vector3<f64> {
     v * (2.0 * s.atan2(w) / s)
 }
 
+/// `log(A^T B)`: the rotation vector of the step between two rotations, in the frame of `from`, rad.
+///
+/// Known limit: steps of more than half a circle are taken the short way round.
+pub fn step(from: &Matrix3<f64>, to: &Matrix3<f64>) -> Vector3<f64> {
+    log(&(from.transpose() * to))
+}
+
+/// The rotation a share of the way from one to another, about a fixed axis.
+pub fn towards(from: &Matrix3<f64>, to: &Matrix3<f64>, share: f64) -> Matrix3<f64> {
+    from * exp(&(step(from, to) * share))
+}
+
 /// Cosine of half the angle, not negative, and the axis times the sine of half the angle: a unit quaternion. Half angles are well
 /// conditioned both near 0 and near pi, where the trace is not.
 fn half_turn(r: &Matrix3<f64>) -> (f64, Vector3<f64>) {
@@ -122,7 +134,7 @@ pub fn right_jacobian_inverse(w: &Vector3<f64>) -> Matrix3<f64> {
 
 /// Angle between two rotations, rad, 0 to pi.
 pub fn angle_between(a: &Matrix3<f64>, b: &Matrix3<f64>) -> f64 {
-    log(&(a.transpose() * b)).norm()
+    step(a, b).norm()
 }
 
 /// The smallest rotation from the direction of `a` to that of `b`; for opposite directions about an arbitrary axis

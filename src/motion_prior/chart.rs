@@ -41,7 +41,7 @@ impl Chart {
     pub fn features(&self, rotations: &LocalRotations, before: Option<&Features>) -> Features {
         let mut features = [0.0; N_FEATURES];
         for (i, (joint, mean)) in LATENT_JOINTS.iter().zip(&self.means).enumerate() {
-            let mut u = rotation::log(&(mean.transpose() * rotations[*joint]));
+            let mut u = rotation::step(mean, &rotations[*joint]);
             if let Some(before) = before {
                 u = nearest_branch(u, &Vector3::from_column_slice(&before[3 * i..3 * i + 3]));
             }

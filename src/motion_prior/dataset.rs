@@ -4,8 +4,8 @@ use super::chart::LocalRotations;
 use super::interpolation::{resampled, resampled_len};
 use super::joints::Bones;
 use super::motion_file::{MotionProblem, read_take};
-use crate::body::skeleton::JOINT_COUNTERPARTS;
-use nalgebra::{Matrix3, Vector3};
+use crate::body::kinematics::mirrored_rotations;
+use nalgebra::Vector3;
 use sha2::{Digest, Sha256};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -146,10 +146,9 @@ pub fn mirrored_path(path: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     path.iter().map(|p| Vector3::new(-p.x, p.y, p.z)).collect()
 }
 
-/// A take with left and right exchanged: every rotation is reflected at the plane x = 0.
+/// A take with left and right exchanged.
 pub fn mirrored(take: &[LocalRotations]) -> Vec<LocalRotations> {
-    let flip = Matrix3::from_diagonal(&nalgebra::Vector3::new(-1.0, 1.0, 1.0));
-    take.iter().map(|frame| JOINT_COUNTERPARTS.map(|joint| flip * frame[joint] * flip)).collect()
+    take.iter().map(mirrored_rotations).collect()
 }
 
 /// One of this number of subjects is held out of training.

@@ -8,7 +8,7 @@ use super::joints::{Bones, JointPositions};
 use super::observed::{N_DESCRIBED, ObservedMotion, described_place, joints_below};
 use super::prior::{Completion, MotionPrior};
 use crate::body::skeleton::chain_to_root;
-use crate::geometry::rotation::{exp, log, right_jacobian_inverse, skew};
+use crate::geometry::rotation::{self, exp, right_jacobian_inverse, skew};
 use nalgebra::{Matrix3, Vector3};
 
 /// What is hidden, and the joints that are hidden together.
@@ -156,16 +156,16 @@ impl Gap {
     }
 
     fn spherical(&self) -> Vec<LocalRotations> {
-        self.filled(|[_, from, to, _], n, length| from * exp(&(log(&(from.transpose() * to)) * (n / length))))
+        self.filled(|[_, from, to, _], n, length| rotation::towards(from, to, n / length))
     }
 
     /// Hermite's cubic in the rotation vectors about the first edge, with the velocities of one frame at both edges.
     fn cubic(&self) -> Vec<LocalRotations> {
         self.filled(|[before, from, to, after], n, length| {
             let s = n / length;
-            let end = log(&(from.transpose() * to));
-            let start_velocity = log(&(before.transpose() * from)) * length;
-            let end_velocity = right_jacobian_inverse(&end) * log(&(to.transpose() * after)) * length;
+            let end = rotation::step(from, to);
+            let start_velocity = rotation::step(before, from) * length;
+            let end_velocity = right_jacobian_inverse(&end) * rotation::step(to, after) * length;
             let (s2, s3) = (s * s, s * s * s);
             let at = start_velocity * (s3 - 2.0 * s2 + s) + end * (3.0 * s2 - 2.0 * s3) + end_velocity * (s3 - s2);
             from * exp(&at)

@@ -52,7 +52,7 @@ pub fn interpolate_positions(samples: &[Vector3<f64>; 4], share: f64) -> Vector3
 
 fn increment(samples: &[Matrix3<f64>; 4], share: f64) -> Vector3<f64> {
     let [c0, c2, c3] = weights(share);
-    let from_first = |k: usize| rotation::log(&(samples[1].transpose() * samples[k]));
+    let from_first = |k: usize| rotation::step(&samples[1], &samples[k]);
     from_first(0) * c0 + from_first(2) * c2 + from_first(3) * c3
 }
 

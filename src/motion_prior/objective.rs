@@ -7,7 +7,7 @@ use super::denoiser_input::{DenoiserInput, N_INPUT};
 use super::joints::Bones;
 use super::observed::{DESCRIBED_JOINTS, N_DESCRIBED, ObservedMotion, joints_below};
 use crate::body::skeleton::N_JOINTS;
-use crate::geometry::rotation::{log, right_jacobian, skew};
+use crate::geometry::rotation::{right_jacobian, skew, step};
 use candle_core::{D, Device, Result, Tensor};
 use nalgebra::Vector3;
 
@@ -143,8 +143,8 @@ impl Rows {
         self.input.extend(&input.values);
         self.units.extend(&input.units);
         for t in 0..observed.n_frames() {
-            let off = DESCRIBED_JOINTS
-                .map(|joint| log(&(input.bridged.rotations[t][joint].transpose() * truth.rotations[t][joint])));
+            let off =
+                DESCRIBED_JOINTS.map(|joint| step(&input.bridged.rotations[t][joint], &truth.rotations[t][joint]));
             for (described, off) in off.iter().enumerate() {
                 let unit = f64::from(input.units[t * N_DESCRIBED + described]);
                 self.target.extend(off.iter().map(|x| (x / unit).clamp(-LARGEST_ERROR, LARGEST_ERROR) as f32));

@@ -19,16 +19,9 @@ pub fn acceleration_cost(squared: f64, knee: f64) -> Robust {
     charbonnier(1.0, squared, knee.powi(2))
 }
 
-/// `log(R_a^T R_b)`: the step between two successive rotations, rad. The difference of two successive steps is zero for a constant
-/// rotation rate; over `dt^2` it is an angular acceleration, in the joint's frame.
-///
-/// Known limit: steps of more than half a circle within one frame are taken the short way round.
-pub fn rotation_step(earlier: &Matrix3<f64>, later: &Matrix3<f64>) -> Vector3<f64> {
-    rotation::log(&(earlier.transpose() * later))
-}
-
-/// A [`rotation_step`] `e` with its derivatives by the right increments of the two rotations (method.md 9.2): `J_r^-1(e)` by that of
-/// the later one, `-J_r^-1(-e) = -J_r^-1(e)^T` by that of the earlier one.
+/// A step `e` between two successive rotations ([`rotation::step`]) with its derivatives by their right increments (method.md 9.2):
+/// `J_r^-1(e)` by that of the later one, `-J_r^-1(-e) = -J_r^-1(e)^T` by that of the earlier one. The difference of two successive steps is
+/// zero for a constant rotation rate; over `dt^2` it is an angular acceleration, in the joint's frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LinearRotationStep {
     /// rad.
@@ -40,7 +33,7 @@ pub struct LinearRotationStep {
 impl LinearRotationStep {
     /// The step between two successive rotations.
     pub fn new(earlier: &Matrix3<f64>, later: &Matrix3<f64>) -> Self {
-        let value = rotation_step(earlier, later);
+        let value = rotation::step(earlier, later);
         Self { value, by_later: rotation::right_jacobian_inverse(&value) }
     }
 }
@@ -59,7 +52,7 @@ mod tests {
     #[test]
     fn constant_rotation_rate_has_no_change() {
         let (start, step) = (rotation::exp(&Vector3::new(0.3, 1.0, -0.2)), rotation::exp(&Vector3::new(0.1, 0.0, 0.3)));
-        let [before, after] = [start, start * step].map(|from| rotation_step(&from, &(from * step)));
+        let [before, after] = [start, start * step].map(|from| rotation::step(&from, &(from * step)));
         assert!((after - before).norm() < 1e-12 && (before - rotation::log(&step)).norm() < 1e-12);
     }
 
@@ -81,7 +74,7 @@ mod tests {
             let moved: [Matrix3<f64>; 3] = std::array::from_fn(|k| {
                 rotations[k] * rotation::exp(&Vector3::from_column_slice(&d[3 * k..3 * k + 3]))
             });
-            (rotation_step(&moved[1], &moved[2]) - rotation_step(&moved[0], &moved[1])).as_slice().to_vec()
+            (rotation::step(&moved[1], &moved[2]) - rotation::step(&moved[0], &moved[1])).as_slice().to_vec()
         });
     }
 }

@@ -67,7 +67,7 @@ pub fn pose_derivatives<'a>(
 
 /// `u_j = log(M_j^T R_j)`, rad.
 fn features(rotations: &[Matrix3<f64>; N_JOINTS], poses: &PoseGaussian) -> Vec<Vector3<f64>> {
-    let feature = |(joint, mean): (&usize, &Matrix3<f64>)| rotation::log(&(mean.transpose() * rotations[*joint]));
+    let feature = |(joint, mean): (&usize, &Matrix3<f64>)| rotation::step(mean, &rotations[*joint]);
     poses.joints.iter().zip(&poses.rotations).map(feature).collect()
 }
 

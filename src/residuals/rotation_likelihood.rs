@@ -1,6 +1,6 @@
 //! Cost of one joint's rotation under a Gaussian over its right increments.
 
-use crate::geometry::rotation::{log, right_jacobian_inverse};
+use crate::geometry::rotation::{right_jacobian_inverse, step};
 use nalgebra::{Matrix3, Vector3};
 
 /// A Gaussian over rotations: `R = M exp(e)`, `e ~ N(0, P^-1)`.
@@ -23,13 +23,13 @@ pub struct RotationDerivatives {
 
 /// `e^T P e / 2` with `e = log(M^T R)`.
 pub fn rotation_cost(rotation: &Matrix3<f64>, gaussian: &RotationGaussian) -> f64 {
-    let off = log(&(gaussian.mean.transpose() * rotation));
+    let off = step(&gaussian.mean, rotation);
     0.5 * off.dot(&(gaussian.precision * off))
 }
 
 /// Derivatives of [`rotation_cost`]: `J^T P e` and `J^T P J` with `J = J_r^-1(e)` (method.md 9.2).
 pub fn rotation_derivatives(rotation: &Matrix3<f64>, gaussian: &RotationGaussian) -> RotationDerivatives {
-    let off = log(&(gaussian.mean.transpose() * rotation));
+    let off = step(&gaussian.mean, rotation);
     let jacobian = right_jacobian_inverse(&off);
     let pulled = jacobian.tr_mul(&gaussian.precision);
     RotationDerivatives { gradient: pulled * off, hessian: pulled * jacobian }

@@ -81,8 +81,7 @@ fn resampled(take: MotionTake, body: SimulatedPerson, fps: f64) -> SimulatedPers
         let (a, b) = (&take.poses[first], &take.poses[(first + 1).min(take.poses.len() - 1)]);
         let share = (at - first as f64).clamp(0.0, 1.0);
         let turn = |j: usize| {
-            let mocap = a.rotations[j]
-                * rotation::exp(&(rotation::log(&(a.rotations[j].transpose() * b.rotations[j])) * share));
+            let mocap = rotation::towards(&a.rotations[j], &b.rotations[j], share);
             mocap_from_body.as_ref().map_or(mocap, |mocap_from_body| retargeted(&mocap, j, mocap_from_body))
         };
         MotionPose { rotations: std::array::from_fn(turn), pelvis: a.pelvis.lerp(&b.pelvis, share) }

@@ -201,7 +201,7 @@ fn joint_distance_mm(motion: &BodyMotion, simulated: &Simulated, person: usize, 
 fn rotation_errors(motion: &BodyMotion, person: &SimulatedPerson, joint: usize) -> Vec<Vector3<f64>> {
     let error = |(i, frame): (usize, &BodyPose)| {
         let truth = person.poses.get(motion.first.0 + i)?.rotations[joint];
-        Some(rotation::log(&(truth.transpose() * frame.rotations[joint])))
+        Some(rotation::step(&truth, &frame.rotations[joint]))
     };
     motion.frames.iter().enumerate().filter_map(error).collect()
 }

@@ -246,8 +246,7 @@ pub(super) fn filled_rotations(known: &[Option<Matrix3<f64>>], rest: &Matrix3<f6
     let frames: Vec<usize> = (0..known.len()).filter(|&t| known[t].is_some()).collect();
     let between = |t: usize| {
         let (a, b, share) = neighbours(&frames, t)?;
-        let (a, b) = (known[a]?, known[b]?);
-        Some(a * rotation::exp(&(rotation::log(&(a.transpose() * b)) * share)))
+        Some(rotation::towards(&known[a]?, &known[b]?, share))
     };
     (0..known.len()).map(|t| between(t).unwrap_or(*rest)).collect()
 }

@@ -11,9 +11,10 @@ use super::terms::window::Window;
 use crate::body::BodyModel;
 use crate::body::kinematics::Pose;
 use crate::body::model::ShapedBody;
+use crate::geometry::rotation;
 use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, Fill, FramePanel, N_RESTS};
 use crate::pipeline::calibration::PosedCamera;
-use crate::residuals::acceleration::{LinearRotationStep, rotation_step};
+use crate::residuals::acceleration::LinearRotationStep;
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -61,7 +62,7 @@ impl MotionProblem<'_> {
         };
         let (frames, (tracked, paths)): (Vec<f64>, (Positions, Positions)) =
             state.poses.par_iter().enumerate().map(frame_cost).unzip();
-        let turns = self.turns(state, rotation_step);
+        let turns = self.turns(state, rotation::step);
         let over_windows = |term: &dyn WindowTerm| -> f64 {
             middles(state).map(|middle| term.cost(&Window::new(middle, &state.poses, &tracked, &turns))).sum()
         };

@@ -93,7 +93,12 @@ impl<'a> Objective<'a> {
 
     /// The joints that rotate, and the border.
     pub(super) fn unknowns(&self) -> Unknowns<'a> {
-        Unknowns::new(self.observed_joints().chain(self.extra_joints.iter().copied()), self.border())
+        self.unknowns_of(self.observed_joints())
+    }
+
+    /// The `observed` joints and the extra ones, and the border.
+    fn unknowns_of(&self, observed: impl Iterator<Item = usize>) -> Unknowns<'a> {
+        Unknowns::new(observed.chain(self.extra_joints.iter().copied()), self.border())
     }
 
     /// Factor of a frame's cost.
@@ -105,7 +110,7 @@ impl<'a> Objective<'a> {
     pub(super) fn problem(&self) -> MotionProblem<'a> {
         let Self { model, observations, config, frame_interval, .. } = *self;
         let observed = Unknowns::new(self.observed_joints(), self.border());
-        let unknowns = self.unknowns();
+        let unknowns = self.unknowns_of(observed.joints.iter().copied());
         let ranges = joint_ranges_of(model);
         let (n_frames, time_weight) = (observations.points.len(), self.time_weight());
         let robust = RobustAcceleration { knee: config.acceleration_knee, time_weight };

@@ -18,7 +18,7 @@ pub(super) fn rough_stride(frame_interval: f64) -> usize {
 /// Moves every `stride`-th pose to `adjusted`, and those between by what their neighbours moved, weighted linearly.
 pub(super) fn carry_along(poses: &mut [Pose], adjusted: &[Pose], stride: usize) {
     let moved = |(before, after): (&Pose, &Pose)| {
-        let turn = |joint: usize| rotation::log(&(before.rotations[joint].transpose() * after.rotations[joint]));
+        let turn = |joint: usize| rotation::step(&before.rotations[joint], &after.rotations[joint]);
         (after.translation - before.translation, std::array::from_fn(turn))
     };
     let moved: Vec<(Vector3<f64>, [Vector3<f64>; N_JOINTS])> =

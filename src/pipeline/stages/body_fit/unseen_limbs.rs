@@ -34,8 +34,7 @@ impl UnseenLimbs {
     /// held rotations, their covariance C, and the distance d of the held pose from the mean.
     pub(super) fn variances(&self, pose: &Pose, skeleton: &PosedSkeleton) -> [f64; N_JOINTS] {
         let PoseGaussian { joints, rotations, mean, .. } = &self.poses;
-        let held =
-            joints.iter().zip(rotations).map(|(&joint, m)| rotation::log(&(m.transpose() * pose.rotations[joint])));
+        let held = joints.iter().zip(rotations).map(|(&joint, m)| rotation::step(m, &pose.rotations[joint]));
         let off = DVector::from_iterator(mean.len(), held.flat_map(|u| u.data.0[0])) - mean;
         std::array::from_fn(|joint| {
             let mut by_rotations = DMatrix::zeros(3, mean.len());

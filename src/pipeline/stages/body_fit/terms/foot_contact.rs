@@ -4,15 +4,15 @@
 //! ankles accelerated two to three times as much as in truth, all other joints 0.8 to 1.3 times.
 
 use super::super::config::BodyFitConfig;
-use super::landmark_jacobian::{BorderJacobian, LinearLandmarks};
+use super::landmark_jacobian::BorderJacobian;
 use super::speed_scaling::{sigma_growth, speeds};
 use super::term::WindowTerm;
 use super::unknowns::MotionState;
-use super::window::{RobustAcceleration, Window};
+use super::window::{LinearisedWindow, PosedWindow, RobustAcceleration};
 use crate::body::kinematics::{landmark_position, posed};
 use crate::body::model::BodyModel;
 use crate::optim::block_banded::{Corner, FramePanel, StripRows};
-use crate::residuals::acceleration::{LinearRotationStep, SECOND_DIFFERENCE, second_difference};
+use crate::residuals::acceleration::{SECOND_DIFFERENCE, second_difference};
 use nalgebra::{Matrix3, Vector3};
 
 /// Median speed of an ankle over CMU's takes, m/s.
@@ -65,13 +65,7 @@ impl FootContact {
         1.0 / (self.frame_interval.powi(2) * self.sigmas[ankle][middle])
     }
 
-    fn add_ankle(
-        &self,
-        ankle: usize,
-        window: &Window<LinearLandmarks, LinearRotationStep>,
-        panels: &mut [FramePanel],
-        corner: &mut Corner,
-    ) {
+    fn add_ankle(&self, ankle: usize, window: &LinearisedWindow, panels: &mut [FramePanel], corner: &mut Corner) {
         let scale = self.scale(ankle, window.middle);
         let residual = second_difference(window.tracked.map(|landmarks| landmarks.positions[ankle])) * scale;
         let factors = SECOND_DIFFERENCE.map(|c| Matrix3::identity() * (c * scale));
@@ -95,7 +89,7 @@ impl FootContact {
 }
 
 impl WindowTerm for FootContact {
-    fn cost(&self, window: &Window<Vec<Vector3<f64>>, Vector3<f64>>) -> f64 {
+    fn cost(&self, window: &PosedWindow) -> f64 {
         let cost = |ankle: usize| {
             let positions = window.tracked.map(|landmarks| landmarks[ankle]);
             self.robust.cost(&(second_difference(positions) * self.scale(ankle, window.middle)))
@@ -103,12 +97,7 @@ impl WindowTerm for FootContact {
         (0..self.sigmas.len()).map(cost).sum()
     }
 
-    fn add_to(
-        &self,
-        window: &Window<LinearLandmarks, LinearRotationStep>,
-        panels: &mut [FramePanel],
-        corner: &mut Corner,
-    ) {
+    fn add_to(&self, window: &LinearisedWindow, panels: &mut [FramePanel], corner: &mut Corner) {
         (0..self.sigmas.len()).for_each(|ankle| self.add_ankle(ankle, window, panels, corner));
     }
 }

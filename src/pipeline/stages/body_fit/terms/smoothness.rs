@@ -1,15 +1,14 @@
 //! Smoothness: accelerations of the pelvis and of the joint rotations.
 
 use super::super::config::BodyFitConfig;
-use super::landmark_jacobian::LinearLandmarks;
 use super::speed_scaling::{rotation_speeds, sigma_growth, speeds};
 use super::term::WindowTerm;
 use super::unknowns::{MotionState, Unknowns};
-use super::window::{RobustAcceleration, Window};
+use super::window::{LinearisedWindow, PosedWindow, RobustAcceleration, Window};
 use crate::body::joint_ranges::JointRange;
 use crate::body::skeleton::N_JOINTS;
 use crate::optim::block_banded::{Corner, FramePanel};
-use crate::residuals::acceleration::{LinearRotationStep, SECOND_DIFFERENCE, jacobians_of_change, second_difference};
+use crate::residuals::acceleration::{SECOND_DIFFERENCE, jacobians_of_change, second_difference};
 use nalgebra::{Matrix3, Vector3};
 
 /// Standard deviations of one frame's accelerations.
@@ -105,7 +104,7 @@ impl Smoothness {
 }
 
 impl WindowTerm for Smoothness {
-    fn cost(&self, window: &Window<Vec<Vector3<f64>>, Vector3<f64>>) -> f64 {
+    fn cost(&self, window: &PosedWindow) -> f64 {
         let joint_cost = |&(group, joint): &(usize, usize)| {
             let [before, after] = window.turns.map(|turns| turns[group]);
             self.robust.cost(&((after - before) * self.rotation_scale(window.middle, joint)))
@@ -113,7 +112,7 @@ impl WindowTerm for Smoothness {
         self.robust.cost(&self.pelvis(window).0) + self.rotations.iter().map(joint_cost).sum::<f64>()
     }
 
-    fn add_to(&self, window: &Window<LinearLandmarks, LinearRotationStep>, panels: &mut [FramePanel], _: &mut Corner) {
+    fn add_to(&self, window: &LinearisedWindow, panels: &mut [FramePanel], _: &mut Corner) {
         let (residual, scale) = self.pelvis(window);
         let jacobians = SECOND_DIFFERENCE.map(|c| Matrix3::identity() * (c * scale));
         self.robust.add_to(&residual, 3 * self.translation, &jacobians, panels);

@@ -41,8 +41,7 @@ pub(crate) fn speeds(n: usize, dt: f64, moved: impl Fn(usize, usize) -> Vector3<
 
 /// Angular [`speeds`] of a joint, rad/s.
 pub(crate) fn rotation_speeds(poses: &[Pose], joint: usize, dt: f64) -> Vec<f64> {
-    let turned =
-        |a: usize, b: usize| rotation::log(&(poses[a].rotations[joint].transpose() * poses[b].rotations[joint]));
+    let turned = |a: usize, b: usize| rotation::step(&poses[a].rotations[joint], &poses[b].rotations[joint]);
     speeds(poses.len(), dt, turned)
 }
 

@@ -4,11 +4,8 @@
 //! nothing.
 
 use super::frame::{LinearisedFrame, PosedFrame};
-use super::landmark_jacobian::LinearLandmarks;
-use super::window::Window;
+use super::window::{LinearisedWindow, PosedWindow};
 use crate::optim::block_banded::{Corner, FramePanel};
-use crate::residuals::acceleration::LinearRotationStep;
-use nalgebra::Vector3;
 
 /// A term of single frames; its cost is per unit of time weight.
 pub(crate) trait FrameTerm: Sync {
@@ -22,15 +19,10 @@ pub(crate) trait FrameTerm: Sync {
 /// A term of three successive frames; its cost is per unit of time weight.
 pub(crate) trait WindowTerm: Sync {
     /// Cost of one window.
-    fn cost(&self, window: &Window<Vec<Vector3<f64>>, Vector3<f64>>) -> f64;
+    fn cost(&self, window: &PosedWindow) -> f64;
 
     /// Adds gradient and Gauss-Newton blocks of one window to its three frames, times the time weight.
-    fn add_to(
-        &self,
-        window: &Window<LinearLandmarks, LinearRotationStep>,
-        panels: &mut [FramePanel],
-        corner: &mut Corner,
-    );
+    fn add_to(&self, window: &LinearisedWindow, panels: &mut [FramePanel], corner: &mut Corner);
 }
 
 /// A quadratic term of the border alone: of unknowns of the person, or of the whole session.

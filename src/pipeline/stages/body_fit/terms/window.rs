@@ -1,8 +1,9 @@
 //! Three successive frames, on which terms of accelerations depend, and the Gauss-Newton blocks of an acceleration.
 
+use super::landmark_jacobian::LinearLandmarks;
 use crate::body::kinematics::Pose;
 use crate::optim::block_banded::FramePanel;
-use crate::residuals::acceleration::acceleration_cost;
+use crate::residuals::acceleration::{LinearRotationStep, acceleration_cost};
 use nalgebra::{Matrix3, Vector3};
 
 /// Three successive frames. `L`: of a landmark's position, `T`: of a joint's step from frame to frame, each with or without derivatives.
@@ -11,11 +12,17 @@ pub(crate) struct Window<'a, L, T> {
     pub middle: usize,
     pub poses: [&'a Pose; 3],
     /// By frame the landmarks whose paths terms look at, in the order of the problem's list of them: their positions (world, m),
-    /// or [`LinearLandmarks`](super::landmark_jacobian::LinearLandmarks).
+    /// or [`LinearLandmarks`].
     pub tracked: [&'a L; 3],
     /// Steps of the free rotations to the middle frame and from there, by group.
     pub turns: [&'a [T]; 2],
 }
+
+/// With positions and steps alone, for the cost.
+pub(crate) type PosedWindow<'a> = Window<'a, Vec<Vector3<f64>>, Vector3<f64>>;
+
+/// With derivatives.
+pub(crate) type LinearisedWindow<'a> = Window<'a, LinearLandmarks, LinearRotationStep>;
 
 impl<'a, L, T> Window<'a, L, T> {
     /// The window about frame `middle` of a motion. `turns`: from each frame to the next.
