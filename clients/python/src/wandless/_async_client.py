@@ -11,7 +11,7 @@ from typing import Any, Optional, TypeVar, Union
 import httpx
 
 from . import _operations as operations
-from ._client import UNSENDABLE, EventLines, key_headers
+from ._client import EventLines, key_headers, unanswered
 from ._errors import Problem
 from ._operations import Answer, OnChange, Operation, Request
 from ._result import Result
@@ -205,10 +205,8 @@ class AsyncClient:
         content = _chunks(request.body) if isinstance(request.body, Body) else request.body
         try:
             answer = await self._http.request(request.method, request.path, content=content, headers=request.headers)
-        except UNSENDABLE:
-            raise
         except httpx.TransportError as error:
-            return Answer(0, {}, b"", error)
+            return unanswered(error)
         return Answer(answer.status_code, answer.headers, answer.content)
 
 

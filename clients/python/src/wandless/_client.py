@@ -214,11 +214,16 @@ class Client:
         content = request.body.chunks() if isinstance(request.body, Body) else request.body
         try:
             answer = self._http.request(request.method, request.path, content=content, headers=request.headers)
-        except UNSENDABLE:
-            raise
         except httpx.TransportError as error:
-            return Answer(0, {}, b"", error)
+            return unanswered(error)
         return Answer(answer.status_code, answer.headers, answer.content)
+
+
+def unanswered(error: httpx.TransportError) -> Answer:
+    """What a request without an answer gives, so that it can be repeated; raises the error of one that was never sent."""
+    if isinstance(error, UNSENDABLE):
+        raise error
+    return Answer(0, {}, b"", error)
 
 
 def key_headers(key: Optional[str]) -> dict[str, str]:
