@@ -37,14 +37,19 @@ const INSTRUCTIONS: &str = "Wandless reconstructs moving people and the cameras 
 /// When stdin or stdout fails.
 pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     let client = Client::new(&args.server, args.key.as_deref());
-    let mut out = io::stdout().lock();
-    for line in io::stdin().lock().lines() {
+    serve(&client, io::stdin().lock(), io::stdout().lock())?;
+    Ok(())
+}
+
+/// Lines are read as bytes: one that is not UTF-8 is answered like any other that is not JSON.
+fn serve(client: &Client, lines: impl BufRead, mut out: impl Write) -> io::Result<()> {
+    for line in lines.split(b'\n') {
         let line = line?;
-        if line.trim().is_empty() {
+        if line.trim_ascii().is_empty() {
             continue;
         }
         let answer = match read_request(&line) {
-            Ok(request) => answer(&client, &request, &mut out)?,
+            Ok(request) => answer(client, &request, &mut out)?,
             Err(error) => Some(Answer::failure(&Value::Null, PARSE_ERROR, error)),
         };
         if let Some(answer) = answer {
@@ -97,7 +102,7 @@ mod tests {
     fn answered(message: &str) -> Option<Value> {
         let client = Client::new("http://127.0.0.1:9", None);
         let mut out = Vec::new();
-        answer(&client, &read_request(message).unwrap(), &mut out).unwrap().map(|answer| answer.0)
+        answer(&client, &read_request(message.as_bytes()).unwrap(), &mut out).unwrap().map(|answer| answer.0)
     }
 
     #[test]
@@ -116,7 +121,16 @@ mod tests {
         assert_eq!(answered(r#"{"jsonrpc": "2.0", "method": "notifications/initialized"}"#), None);
         let unknown = answered(r#"{"jsonrpc": "2.0", "id": "a", "method": "resources/list"}"#).unwrap();
         assert_eq!((&unknown["id"], &unknown["error"]["code"]), (&json!("a"), &json!(METHOD_NOT_FOUND)));
-        assert!(read_request("{").is_err());
+        assert!(read_request(b"{").is_err());
+    }
+
+    #[test]
+    fn a_line_that_is_not_utf8_ended_the_server() {
+        let mut out = Vec::new();
+        let lines: &[u8] = b"\xff\xfe\n{\"jsonrpc\": \"2.0\", \"id\": 7, \"method\": \"ping\"}\n";
+        serve(&Client::new("http://127.0.0.1:9", None), lines, &mut out).unwrap();
+        let answers: Vec<Value> = out.lines().map(|line| serde_json::from_str(&line.unwrap()).unwrap()).collect();
+        assert_eq!((&answers[0]["error"]["code"], &answers[1]["id"]), (&json!(PARSE_ERROR), &json!(7)));
     }
 
     #[test]

@@ -20,8 +20,8 @@ pub(super) struct Request {
 }
 
 /// Reads one line.
-pub(super) fn read_request(line: &str) -> Result<Request, String> {
-    serde_json::from_str(line).map_err(|error| format!("the line is not a request of JSON-RPC 2.0: {error}"))
+pub(super) fn read_request(line: &[u8]) -> Result<Request, String> {
+    serde_json::from_slice(line).map_err(|error| format!("the line is not a request of JSON-RPC 2.0: {error}"))
 }
 
 /// An answer.
