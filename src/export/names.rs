@@ -9,7 +9,16 @@ const MAX_CHARS: usize = 200;
 
 /// File names of letters, digits, `_` and `-`, which are also valid keys in TOML and OpenCV's YAML.
 pub(super) fn file_names<'a>(ids: impl Iterator<Item = &'a str>) -> Vec<String> {
-    unique(ids, |c| c.is_ascii_alphanumeric() || c == '_' || c == '-')
+    let ids: Vec<String> = ids.map(|id| if is_device(id) { format!("{id}_") } else { id.to_owned() }).collect();
+    unique(ids.iter().map(String::as_str), |c| c.is_ascii_alphanumeric() || c == '_' || c == '-')
+}
+
+/// Whether Windows takes a file of this name, with any ending, for a device.
+fn is_device(name: &str) -> bool {
+    let name = name.to_ascii_uppercase();
+    let numbered = name.strip_prefix("COM").or_else(|| name.strip_prefix("LPT"));
+    ["CON", "PRN", "AUX", "NUL"].contains(&name.as_str())
+        || numbered.is_some_and(|n| matches!(n.as_bytes(), [b'0'..=b'9']))
 }
 
 /// USD prim names: `camera_` followed by letters, digits and `_`.
@@ -89,6 +98,12 @@ mod tests {
         let names = file_names(ids.into_iter());
         assert_eq!(names, ["01", "a_b", "a_b_2", "A_B_3", "_2", "___x", "cam-1"]);
         assert_eq!(identifiers(ids.into_iter())[6], "camera_cam_1");
+    }
+
+    #[test]
+    fn cameras_named_like_devices_gave_files_windows_refuses() {
+        let names = file_names(["CON", "nul", "lpt1", "COM1", "con_", "COM10", "console"].into_iter());
+        assert_eq!(names, ["CON_", "nul_", "lpt1_", "COM1_", "con__2", "COM10", "console"]);
     }
 
     #[test]

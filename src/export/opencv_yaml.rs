@@ -58,6 +58,9 @@ fn names(take: &Take) -> Vec<String> {
 }
 
 fn head(names: &[String]) -> String {
+    if names.is_empty() {
+        return format!("{HEAD}names: []\n"); // an empty value is no list for OpenCV
+    }
     let items: String = names.iter().map(|name| format!("   - \"{name}\"\n")).collect();
     format!("{HEAD}names:\n{items}")
 }
