@@ -8,7 +8,7 @@ use crate::motion_prior::training::{TrainingConfig, train};
 use crate::motion_prior::weights::Weights;
 use crate::progress::{Progress, ProgressEvent};
 use anyhow::Context;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Trains a prior on every `.npz` file below a folder. Each subfolder is a subject; every ninth subject is held out. The
@@ -40,7 +40,19 @@ fn width(text: &str) -> Result<usize, String> {
     text.parse().ok().filter(|width| (8..=1024).contains(width)).ok_or_else(|| "give 8 to 1024".to_owned())
 }
 
+/// Refuses an output file that could not be written, before hours of training.
+fn require_place(out: &Path) -> Result<(), BadInput> {
+    let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let problem = match (out.is_dir(), folder.is_dir()) {
+        (true, _) => "is a folder; add the name of a file",
+        (_, false) => "has no folder to be written in; make it first",
+        _ => return Ok(()),
+    };
+    Err(BadInput(format!("{}: the output file {problem}", out.display())))
+}
+
 pub(super) fn run(args: Args) -> anyhow::Result<()> {
+    require_place(&args.out)?;
     let data = read_dataset(&args.data).map_err(|error| BadInput(error.to_string()))?;
     let defaults = TrainingConfig::of(args.model.kind());
     let (steps, width) = (args.steps.unwrap_or(defaults.steps), args.width.unwrap_or(defaults.width));
@@ -64,4 +76,21 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     println!("{}", last_line.lock().unwrap_or_else(PoisonError::into_inner));
     println!("{:?}", weights.provenance);
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_output_folder_was_found_after_the_training() {
+        let place = tempfile::tempdir().unwrap();
+        for (out, remedy) in [("none/prior.bin", "make it first"), ("", "name of a file")] {
+            let error = require_place(&place.path().join(out)).unwrap_err();
+            assert!(error.to_string().contains(remedy), "{error}");
+        }
+        assert!(
+            require_place(&place.path().join("prior.bin")).is_ok() && require_place(Path::new("prior.bin")).is_ok()
+        );
+    }
 }
