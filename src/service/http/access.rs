@@ -22,7 +22,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use std::net::IpAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::time::{Duration, Instant};
 use tracing::Span;
 
@@ -185,10 +185,17 @@ fn client(peer: IpAddr, headers: &HeaderMap, proxies: &Networks) -> IpAddr {
         if !proxies.contain(client) {
             break;
         }
-        let Ok(before) = word.trim().parse() else { break };
+        let Some(before) = forwarded(word.trim()) else { break };
         client = before;
     }
     client
+}
+
+/// An address in `X-Forwarded-For`; some proxies write the port, too, and then an IPv6 address in brackets.
+fn forwarded(word: &str) -> Option<IpAddr> {
+    let with_port = || word.parse::<SocketAddr>().ok().map(|address| address.ip());
+    let in_brackets = || word.strip_prefix('[')?.strip_suffix(']')?.parse().ok();
+    word.parse().ok().or_else(with_port).or_else(in_brackets)
 }
 
 fn unauthorized(challenge: &'static str) -> Problem {
@@ -247,6 +254,10 @@ mod tests {
         );
         assert_eq!(of("10.1.1.1", &["198.51.100.1, 10.2.2.2"]), "198.51.100.1", "a chain of proxies");
         assert_eq!(of("::1", &["1.2.3.4", "198.51.100.1"]), "198.51.100.1", "several lines are one list");
+        for word in ["198.51.100.1:5678", "[2001:db8::7]:5678", "[2001:db8::7]", "2001:db8::7"] {
+            let client = if word.starts_with('1') { "198.51.100.1" } else { "2001:db8::7" };
+            assert_eq!(of("10.1.1.1", &[word]), client, "{word}: a proxy that writes ports hid its clients");
+        }
         assert_eq!((of("10.1.1.1", &[]), of("10.1.1.1", &["unknown"])), ("10.1.1.1".to_owned(), "10.1.1.1".to_owned()));
     }
 
