@@ -41,7 +41,7 @@ fn monocular(is_placed: bool) -> Reason {
         Reason::warn(text.to_owned())
     } else {
         let text = "monocular: a single camera determines neither its own pose nor depth; add a second synchronised camera, or \
-                    give the camera's R and t and choose \"fixed\" extrinsics";
+                    choose \"fixed\" extrinsics, which takes the camera's R and t from the session";
         Reason::reject(text.to_owned())
     }
 }
