@@ -59,7 +59,7 @@ fn names(take: &Take) -> Vec<String> {
 
 fn head(names: &[String]) -> String {
     if names.is_empty() {
-        return format!("{HEAD}names: []\n"); // an empty value is no list for OpenCV
+        return format!("{HEAD}names: []\n"); // OpenCV does not read an empty value as a list
     }
     let items: String = names.iter().map(|name| format!("   - \"{name}\"\n")).collect();
     format!("{HEAD}names:\n{items}")
