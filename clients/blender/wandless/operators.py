@@ -45,8 +45,10 @@ class Submission:
                 self.cancel()
             while job["state"] not in service.FINAL and not self.is_stopped.is_set():
                 progress = job["progress"]
-                self.news.put(("progress", (progress["fraction"], progress["message"] or progress["stage"] or job["state"])))
-                job = self.client.job(self.job, service.WAIT_S)
+                done = progress["fraction"]
+                self.news.put(("progress", (done, progress["message"] or progress["stage"] or job["state"])))
+                on_silence = lambda why: self.news.put(("progress", (done, why)))  # noqa: E731
+                job = self.client.next_state(self.job, self.is_stopped, on_silence)
             if job["state"] == "succeeded":
                 self.news.put(("progress", (1.0, "downloading the result")))
                 self.news.put(("done", self.client.download(self.job, tempfile.mkdtemp(prefix="wandless-"))))

@@ -1,8 +1,10 @@
 """Client of the service, with Python's standard library alone; no Blender."""
 
+import http.client
 import io
 import json
 import os
+import time
 import urllib.error
 import urllib.request
 import uuid
@@ -11,10 +13,17 @@ from pathlib import Path
 
 FINAL = ("succeeded", "failed", "canceled", "dead")
 WAIT_S = 10  # the service holds a request for the state of a job so long
+PATIENCE_S = 120.0  # a job is followed so long without an answer: a restart of the service, a lost network
+RETRY_S = 2.0
+BUSY = (429, 502, 503, 504)  # of a proxy, too, whose service restarts
 
 
 class ServiceError(Exception):
     """The service refused a request or does not answer; the message says what to do."""
+
+
+class Unanswered(ServiceError):
+    """The service does not answer, or is busy: the same request can succeed later."""
 
 
 def zipped(session):
@@ -46,26 +55,26 @@ class Service:
         if self.key:
             request.add_header("Authorization", f"Bearer {self.key}")
         try:
-            return urllib.request.urlopen(request, timeout=WAIT_S + 330)
+            with urllib.request.urlopen(request, timeout=WAIT_S + 330) as answer:
+                return answer.read()
         except urllib.error.HTTPError as error:
-            raise ServiceError(explained(error)) from None
-        except urllib.error.URLError as error:
-            reason = f"{self.server} does not answer ({error.reason}); check the address and that the service runs"
-            raise ServiceError(reason) from None
+            raise (Unanswered if error.code in BUSY else ServiceError)(explained(error)) from None
+        except (OSError, http.client.HTTPException) as error:  # also a connection that ends within the answer
+            reason = getattr(error, "reason", None) or error
+            text = f"{self.server} does not answer ({reason}); check the address and that the service runs"
+            raise Unanswered(text) from None
 
     def _json(self, method, path, document=None):
         body, headers = None, {}
         if document is not None:
             headers = {"Content-Type": "application/json", "Idempotency-Key": str(uuid.uuid4())}
             body = json.dumps(document).encode()
-        with self._request(method, path, body, headers) as answer:
-            return json.load(answer)
+        return json.loads(self._request(method, path, body, headers))
 
     def upload(self, session):
         """Uploads a session; returns its document."""
         body, media_type = zipped(session)
-        with self._request("POST", "/v1/sessions", body, {"Content-Type": media_type}) as answer:
-            return json.load(answer)
+        return json.loads(self._request("POST", "/v1/sessions", body, {"Content-Type": media_type}))
 
     def submit(self, session, options):
         """Submits a job; returns its document."""
@@ -75,14 +84,24 @@ class Service:
         """A job, at once or after a change."""
         return self._json("GET", f"/v1/jobs/{job}?wait={wait_s}")
 
+    def next_state(self, job, is_stopped, on_silence):
+        """The job after a change; asks again for a while if the service does not answer. `on_silence` receives why."""
+        deadline = time.monotonic() + PATIENCE_S
+        while True:
+            try:
+                return self.job(job, WAIT_S)
+            except Unanswered as error:
+                if time.monotonic() > deadline or is_stopped.wait(RETRY_S):
+                    raise ServiceError(f"{error}; the job {job} goes on in the service") from None
+                on_silence(f"{error}; trying again")
+
     def cancel(self, job):
         return self._json("POST", f"/v1/jobs/{job}/cancel", {})
 
     def download(self, job, folder):
         """Writes all files of a result into `folder`, with the skinned people."""
         self._json("POST", f"/v1/jobs/{job}/exports", {"exports": ["glb"]})
-        with self._request("GET", f"/v1/jobs/{job}/archive") as answer:
-            archive = zipfile.ZipFile(io.BytesIO(answer.read()))
+        archive = zipfile.ZipFile(io.BytesIO(self._request("GET", f"/v1/jobs/{job}/archive")))
         root = os.path.realpath(folder)
         for name in archive.namelist():
             if os.path.commonpath([root, os.path.realpath(os.path.join(root, name))]) != root:
