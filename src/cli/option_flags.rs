@@ -99,7 +99,7 @@ fn arguments(row: &'static OptionRow) -> Vec<Arg> {
             argument.value_parser(PossibleValuesParser::new(values).map(Value::from)).hide_possible_values(true)
         }
         Kind::Choices(choices) => {
-            let values = choices.iter().map(|choice| PossibleValue::new(choice.value));
+            let values = choices.iter().map(|choice| PossibleValue::new(choice.value).aliases(choice.aliases));
             let parser = PossibleValuesParser::new(values).map(Value::from);
             argument.value_parser(parser).value_delimiter(',').hide_possible_values(true)
         }
@@ -186,6 +186,8 @@ mod tests {
         assert_eq!((options.denoise, options.body.as_str()), (false, "studio"));
         assert_eq!(options.exports, [ExportFormat::Glb, ExportFormat::Bvh]);
         assert_eq!(options.scale, ScaleSource::Height { metres: 1.82, who: "tallest".to_owned() });
+        let formats = read(&["--exports", "mot"]).unwrap().exports;
+        assert_eq!(formats, [ExportFormat::JointAngles], "a name that `export --to` takes was refused");
         let options = read(&["--camera-distance", "left, right,4.5"]).unwrap();
         let cameras = ["left", "right"].map(str::to_owned);
         assert_eq!(options.scale, ScaleSource::CameraDistance { cameras, metres: 4.5 });

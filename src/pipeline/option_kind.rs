@@ -44,6 +44,8 @@ pub struct Choice {
     pub value: &'static str,
     /// What it selects.
     pub meaning: &'static str,
+    /// Other names of it.
+    pub aliases: &'static [&'static str],
 }
 
 /// One form of an object.
@@ -74,7 +76,14 @@ pub struct Field {
 
 /// A name with its meaning.
 pub(super) const fn choice(value: &'static str, meaning: &'static str) -> Choice {
-    Choice { value, meaning }
+    Choice { value, meaning, aliases: &[] }
+}
+
+impl Choice {
+    /// The same with other names.
+    pub(super) const fn or(self, aliases: &'static [&'static str]) -> Self {
+        Self { aliases, ..self }
+    }
 }
 
 impl Kind {

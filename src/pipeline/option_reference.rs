@@ -24,7 +24,7 @@ pub fn options_page() -> String {
         match row.kind {
             Kind::Choice(choices) | Kind::Choices(choices) => {
                 let _ = write!(page, "\n## Values of `{}`\n\n| value | meaning |\n|---|---|\n", row.name);
-                for Choice { value, meaning } in choices {
+                for Choice { value, meaning, .. } in choices {
                     let _ = writeln!(page, "| `{value}` | {meaning} |");
                 }
             }

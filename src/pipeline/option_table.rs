@@ -275,7 +275,8 @@ pub const OPTION_TABLE: &[OptionRow] = &[
             choice(
                 "joint_angles",
                 "joint angles with standard deviations as CSV, and OpenSim's .mot, one file per person",
-            ),
+            )
+            .or(&["mot", "angles_csv"]),
             choice("opencv_yaml", "cameras as OpenCV's intri.yml and extri.yml"),
             choice("calib_toml", "cameras as Pose2Sim's Calib.toml"),
             choice("anipose_toml", "cameras as anipose's calibration.toml"),

@@ -116,7 +116,7 @@ pub enum ExportFormat {
     Usd,
     Trc,
     C3d,
-    // One format writes both files, which have names of their own in the contract.
+    // One format writes both files, which have names of their own in the contract; the table of options repeats them.
     #[serde(alias = "mot", alias = "angles_csv")]
     JointAngles,
     OpencvYaml,
