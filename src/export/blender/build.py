@@ -25,6 +25,9 @@ def set_scene(take):
     scene.render.fps = max(fps, 1)
     scene.render.fps_base = scene.render.fps / take["fps"]
     scene.frame_start, scene.frame_end = take["frame_range"]
+    if take["frame_range"][0] < 0:  # Blender renders from frame 0 on and would play from there, too
+        scene.use_preview_range = True
+        scene.frame_preview_start, scene.frame_preview_end = take["frame_range"]
     scene.unit_settings.system = "METRIC"
     scene.unit_settings.scale_length = 1.0
     if take["cameras"]:
