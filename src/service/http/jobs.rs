@@ -239,7 +239,7 @@ pub(super) struct JobDocument {
     #[schema(minimum = 0)]
     attempt: i64,
     progress: JobProgress,
-    /// Wall time of each stage, s.
+    /// Wall time of each stage, s, in all attempts and before and after restarts of the service.
     stage_seconds: BTreeMap<String, f64>,
     #[schema(required)]
     quality: Option<JobQuality>,

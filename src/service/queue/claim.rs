@@ -34,6 +34,8 @@ pub struct Claim {
     pub session_sha256: String,
     /// All options with their values, defaults included.
     pub options: serde_json::Value,
+    /// Wall time of each stage in the claims before this one, s: a job that continues does not run the early stages again.
+    pub stage_seconds: BTreeMap<String, f64>,
 }
 
 impl Claim {
@@ -46,6 +48,7 @@ impl Claim {
             session: row.try_get("session_id")?,
             session_sha256: row.try_get("sha256")?,
             options: serde_json::from_str(row.try_get("options")?)?,
+            stage_seconds: serde_json::from_str(row.try_get("stage_seconds")?)?,
         })
     }
 }
@@ -105,11 +108,11 @@ impl Queue {
         let row = sqlx::query(
             "UPDATE jobs SET state = 'running', version = version + 1, fence = fence + 1, attempt = crashes + 1, boot = $1,
                              started_at = coalesce(started_at, strftime('%Y-%m-%dT%H:%M:%fZ', 'now')),
-                             solver_version = $2, stage_seconds = '{}'
+                             solver_version = $2
              WHERE seq = (SELECT seq FROM jobs WHERE state = 'queued' AND tenant = $3
                             AND id NOT IN (SELECT value FROM json_each($4))
                           ORDER BY priority DESC, seq LIMIT 1)
-             RETURNING id, fence, tenant, request_id, key_id, session_id, options,
+             RETURNING id, fence, tenant, request_id, key_id, session_id, options, stage_seconds,
                        (SELECT sha256 FROM sessions WHERE sessions.id = jobs.session_id) AS sha256",
         )
         .bind(&self.store.boot)
@@ -197,7 +200,7 @@ impl Queue {
         })
     }
 
-    /// Writes the progress of the job; the stored fraction never decreases, even in a second attempt.
+    /// Writes the progress of the job; the stored fraction never decreases, even in a second attempt. `stage_seconds`: of this claim.
     ///
     /// # Errors
     /// When the store fails.
@@ -207,6 +210,10 @@ impl Queue {
         progress: &JobProgress,
         stage_seconds: &BTreeMap<String, f64>,
     ) -> Result<(), StoreError> {
+        let mut all_seconds = claim.stage_seconds.clone();
+        for (stage, seconds) in stage_seconds {
+            *all_seconds.entry(stage.clone()).or_default() += seconds;
+        }
         let mut transaction = self.store.write_relaxed().await?;
         sqlx::query(
             "UPDATE jobs SET version = version + 1, stage = $1, stage_index = $2, stage_count = $3,
@@ -219,7 +226,7 @@ impl Queue {
         .bind(progress.fraction)
         .bind(&progress.message)
         .bind(float(progress.eta_s))
-        .bind(serde_json::to_string(stage_seconds)?)
+        .bind(serde_json::to_string(&all_seconds)?)
         .bind(&claim.job)
         .bind(claim.fence)
         .execute(&mut *transaction)

@@ -38,9 +38,9 @@ const CLAIM: &str = "
     turn AS (UPDATE tenants SET turn = nextval('turns') WHERE name = (SELECT name FROM next) RETURNING name)
     UPDATE jobs SET state = 'running', version = version + 1, fence = fence + 1, beat = 0, attempt = crashes + 1, boot = $1,
                     started_at = coalesce(started_at, strftime('%Y-%m-%dT%H:%M:%fZ', 'now')),
-                    solver_version = $2, stage_seconds = '{}'
+                    solver_version = $2
     WHERE seq = (SELECT seq FROM job)
-    RETURNING id, fence, tenant, request_id, key_id, session_id, options,
+    RETURNING id, fence, tenant, request_id, key_id, session_id, options, stage_seconds,
               (SELECT sha256 FROM sessions WHERE sessions.id = jobs.session_id) AS sha256";
 
 /// The turn in the statement's snapshot: a subquery is not read anew when a locked row is checked again.

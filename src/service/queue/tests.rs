@@ -234,6 +234,22 @@ async fn stored_fraction_never_decreases() {
 }
 
 #[tokio::test]
+async fn a_resumed_job_lost_the_times_of_its_first_stages() {
+    let test = TestQueue::new().await;
+    let id = test.enqueue(0).await;
+    for (stage, seconds) in [("cameras", 2.0), ("body_fit", 3.0), ("body_fit", 4.0)] {
+        let claim = test.queue.claim(i64::MAX).await.unwrap().unwrap();
+        let seconds = BTreeMap::from([(stage.to_owned(), seconds)]);
+        for _ in 0..2 {
+            test.queue.heartbeat(&claim, &JobProgress::default(), &seconds).await.unwrap();
+        }
+        test.finish(&claim, ClaimOutcome::Released).await;
+    }
+    let job = test.queue.get(&tenant(), &id).await.unwrap().unwrap();
+    assert_eq!(job.stage_seconds, BTreeMap::from([("body_fit".to_owned(), 7.0), ("cameras".to_owned(), 2.0)]));
+}
+
+#[tokio::test]
 async fn database_rejects_leaving_a_final_state() {
     let test = TestQueue::new().await;
     let id = test.enqueue(0).await;
