@@ -7,7 +7,7 @@ use anyhow::{Context, bail};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::fs::File;
-use std::io::{Read, Write};
+use std::io::{Read, Seek, Write};
 use std::path::Path;
 use std::time::{Duration, Instant};
 use ureq::http::{Response, StatusCode, header};
@@ -120,6 +120,11 @@ impl Client {
         &self.server
     }
 
+    /// What stands before the cause where no answer arrives.
+    fn unanswered(&self) -> String {
+        format!("{} does not answer; check --server and that `wandless serve` runs there", self.server)
+    }
+
     fn get(&self, path: &str) -> RequestBuilder<WithoutBody> {
         self.with_key(self.agent.get(format!("{}{path}", self.server)))
     }
@@ -135,12 +140,19 @@ impl Client {
         }
     }
 
-    /// Uploads a session.
+    /// Uploads a session; again for up to [`RETRY_TIME`] where the service is there but busy.
     pub(super) fn upload(&self, session: &File, media_type: &str) -> anyhow::Result<SessionAnswer> {
-        let request = self.post("/v1/sessions");
-        let bytes = session.metadata()?.len();
-        let request = request.header(header::CONTENT_LENGTH, bytes.to_string()).content_type(media_type);
-        self.document(request.send(session).with_context(|| self.server.clone())?)
+        let bytes = session.metadata()?.len().to_string();
+        let send = || {
+            let mut file = session;
+            file.rewind()?;
+            let request = self.post("/v1/sessions").header(header::CONTENT_LENGTH, &bytes);
+            request.content_type(media_type).send(file)
+        };
+        match send().with_context(|| self.unanswered())? {
+            busy if is_busy(busy.status()) => self.with_retries(send),
+            answer => self.document(answer),
+        }
     }
 
     /// Creates a job. The idempotency key makes repeated requests create one job only.
@@ -169,7 +181,7 @@ impl Client {
 
     /// The answer to a document that is sent to a path of the API.
     pub(super) fn send_document<T: DeserializeOwned>(&self, path: &str, body: &serde_json::Value) -> anyhow::Result<T> {
-        self.document(self.post(path).send_json(body).with_context(|| self.server.clone())?)
+        self.document(self.post(path).send_json(body).with_context(|| self.unanswered())?)
     }
 
     /// List of the files of a result.
@@ -215,7 +227,7 @@ impl Client {
             let pause = match ask() {
                 Ok(response) if is_busy(response.status()) && Instant::now() < deadline => retry_after(&response),
                 Ok(response) => return Ok(response),
-                Err(error) if Instant::now() >= deadline => return Err(error).with_context(|| self.server.clone()),
+                Err(error) if Instant::now() >= deadline => return Err(error).with_context(|| self.unanswered()),
                 Err(error) => {
                     tracing::warn!(%error, "the service does not answer; trying again");
                     PAUSE
@@ -359,6 +371,22 @@ mod tests {
         assert_eq!(std::fs::read(&file).unwrap(), b"abc");
         let missing = client.download("job_1", "people.json", None, &file).unwrap_err();
         assert!(missing.to_string().contains("404"), "{missing}");
+    }
+
+    #[test]
+    fn an_upload_to_a_busy_service_ended_the_command() {
+        let document = r#"{"id": "session_1"}"#;
+        let busy =
+            "HTTP/1.1 503 Service Unavailable\r\nRetry-After: 1\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
+        let stored = format!(
+            "HTTP/1.1 201 Created\r\nContent-Length: {}\r\nConnection: close\r\n\r\n{document}",
+            document.len()
+        );
+        let server = serving(vec![busy.to_owned(), busy.to_owned(), stored]);
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("session.json"), "{}").unwrap();
+        let file = File::open(folder.path().join("session.json")).unwrap();
+        assert_eq!(Client::new(&server, None).upload(&file, "application/json").unwrap().id, "session_1");
     }
 
     #[test]

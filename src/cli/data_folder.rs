@@ -23,7 +23,7 @@ pub(super) fn require_folder(data: &Path) -> Result<(), BadInput> {
     match data.is_dir() {
         true => Ok(()),
         false => {
-            let remedy = "name it with --data or WANDLESS_DATA";
+            let remedy = "name it as --help says, or with WANDLESS_DATA";
             Err(BadInput(format!("{}: the data folder does not exist; {remedy}", data.display())))
         }
     }

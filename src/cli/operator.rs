@@ -114,6 +114,7 @@ async fn verify_shared(settings: Settings, _: bool) -> anyhow::Result<()> {
 }
 
 async fn verify_folder(folder: &Path) -> anyhow::Result<()> {
+    require_folder(folder)?;
     let report = safety::verify(folder).await?;
     for stray in &report.strays {
         println!("stray: {stray}");

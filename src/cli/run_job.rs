@@ -68,6 +68,7 @@ fn run_task(task: &JobTask, progress: &Progress) -> Result<(), JobError> {
             code: "body_unreadable".to_owned(),
             detail: error.to_string(),
             pointer: Some("/options/body".to_owned()),
+            remedy: "ask the operator to register the body again, or choose another one".to_owned(),
             ..JobError::default()
         })?,
     };
@@ -168,6 +169,7 @@ fn job_error(error: SolveError) -> JobError {
             code: "option_impossible".to_owned(),
             detail: reason,
             pointer: Some(format!("/options{option}")),
+            remedy: "change the option, then submit the job again".to_owned(),
             ..JobError::default()
         },
         SolveError::Pipeline(PipelineError::Unsolvable { code, reason, .. }) => {

@@ -65,7 +65,8 @@ pub(super) fn submit(client: &Client, session: &Path, options: &Options) -> anyh
 
 /// Uploads a session and creates its job.
 pub(super) fn submit_job(client: &Client, session: &Path, options: &Options) -> anyhow::Result<JobAnswer> {
-    let unreadable = |error: anyhow::Error| BadInput(format!("{}: {error:#}", session.display()));
+    let remedy = "give a session folder, a zip of it, or a JSON document";
+    let unreadable = |error: anyhow::Error| BadInput(format!("{}: {error:#}; {remedy}", session.display()));
     let upload = open(session).map_err(unreadable)?;
     let stored = client.upload(&upload.file, upload.media_type)?;
     for warning in stored.warnings.iter().cloned().chain(ignored_poses(options, &stored.camera_facts)) {

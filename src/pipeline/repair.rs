@@ -156,16 +156,9 @@ mod tests {
     use crate::simulation::{Preset, SimulationConfig, simulate};
 
     fn suspicion(code: Code, cameras: &[&str]) -> Suspicion {
-        Suspicion {
-            code,
-            cameras: cameras.iter().map(|id| (*id).to_owned()).collect(),
-            evidence: String::new(),
-            remedy: String::new(),
-            suggested_option: (code == Code::TimeOffset).then(|| r#"{"sync": "estimate"}"#.to_owned()),
-            image_scale: None,
-            radial_change: None,
-            applied: false,
-        }
+        let cameras = cameras.iter().map(|id| (*id).to_owned()).collect();
+        let suggested_option = (code == Code::TimeOffset).then(|| r#"{"sync": "estimate"}"#.to_owned());
+        Suspicion { suggested_option, ..Suspicion::new(code, cameras, "", "") }
     }
 
     #[test]

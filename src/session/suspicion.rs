@@ -9,6 +9,10 @@ use std::fmt;
 pub struct Suspicion {
     /// What is probably wrong.
     pub code: SuspicionCode,
+    /// The first of `cameras`; null where it is the whole recording.
+    #[serde(default)]
+    #[cfg_attr(feature = "service", schema(required))]
+    pub camera: Option<String>,
     /// Names of the cameras concerned; empty where it is the whole recording.
     pub cameras: Vec<String>,
     /// What was measured and what was expected, without the end of a sentence.
@@ -124,6 +128,7 @@ impl Suspicion {
         let (evidence, remedy) = (evidence.into(), remedy.into());
         Self {
             code,
+            camera: cameras.first().cloned(),
             cameras,
             evidence,
             remedy,

@@ -67,6 +67,12 @@ fn rejects_impossible_jobs_with_a_pointer() {
 
     ask(json!({})).expect_problem(400, "malformed");
     ask(json!([])).expect_problem(400, "malformed");
+    for list in
+        [json!([session, null, null, null, {}, 0, null]), json!({ "session": session, "webhook": ["http://x"] })]
+    {
+        let refused = ask(list).expect_problem(400, "malformed");
+        assert!(!refused["detail"].as_str().unwrap().contains("struct"), "a list was read as an object: {refused}");
+    }
     ask(json!({ "session": session, "state": "succeeded" })).expect_problem(400, "malformed");
     ask(json!({ "session": "session_0" })).expect_problem(404, "session_not_found");
     let webhook = ask(json!({ "session": session, "webhook": { "url": "http://localhost" } }));
@@ -74,6 +80,8 @@ fn rejects_impossible_jobs_with_a_pointer() {
     ask(json!({ "session": session, "priority": 10_000_000 })).expect_problem(400, "malformed");
     ask(json!({ "session": session, "priority": i64::MIN })).expect_problem(400, "malformed");
     ask(json!({ "session": session, "labels": { "": "x" } })).expect_problem(400, "malformed");
+    let unfindable = ask(json!({ "session": session, "labels": { "take=7": "x" } })).expect_problem(400, "malformed");
+    assert_eq!(unfindable["pointer"], "/labels", "a label that no filter finds was stored");
     let labels: serde_json::Map<_, _> = (0..17).map(|n| (format!("{n}"), json!("x".repeat(240)))).collect();
     let many = ask(json!({ "session": session, "labels": labels })).expect_problem(400, "malformed");
     assert_eq!(many["pointer"], "/labels");
@@ -102,10 +110,17 @@ fn rejects_impossible_jobs_with_a_pointer() {
     ] {
         assert_eq!(options(asked).expect_problem(status, code)["pointer"], pointer);
     }
+    let malformed = options(json!({ "people": "3" })).expect_problem(400, "option_malformed");
+    assert!(malformed["remedy"].as_str().unwrap().contains("1 or more"), "{malformed}");
     let key = [JSON, ("idempotency-key", "")];
     server
         .post("/v1/jobs", &key, json!({ "session": session }).to_string().as_bytes())
         .expect_problem(400, "malformed");
+    for query in ["page_size=&page_token=", "state=&label=", "page_size"] {
+        server.get(&format!("/v1/jobs?{query}")).expect(200);
+    }
+    let badly = server.get("/v1/jobs?page_size=x").expect_problem(400, "malformed");
+    assert!(badly["detail"].as_str().unwrap().contains("page_size"), "{badly}");
     for query in ["state=done", "page_size=-1", "page_token=x", "sort=up"] {
         server.get(&format!("/v1/jobs?{query}")).expect_problem(400, "malformed");
     }

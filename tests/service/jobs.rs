@@ -129,7 +129,9 @@ fn cancel_stops_the_work_within_2_s() {
     assert_eq!(server.files("results").len(), 0);
     assert!(done["finished_at"].is_string() && done["quality"].is_null());
     server.post_json(&path, &Value::Null).expect(202);
-    server.get(&format!("/v1/jobs/{id}/result")).expect_problem(409, "not_ready");
+    let early = server.get(&format!("/v1/jobs/{id}/result")).expect_problem(409, "not_ready");
+    let remedy = early["remedy"].as_str().unwrap();
+    assert!(remedy.contains("submit another job"), "a wait for a job that has ended was advised: {remedy}");
 }
 
 #[test]

@@ -179,6 +179,7 @@ fn exports_of_other_jobs_and_formats_are_refused() {
     let path = format!("/v1/jobs/{id}/exports");
     server.post_json(&path, &json!({ "exports": ["mp3"] })).expect_problem(400, "malformed");
     server.post_json(&path, &json!({ "exports": [] })).expect_problem(400, "malformed");
+    server.post_json(&path, &json!([["glb"]])).expect_problem(400, "malformed");
     let other = format!("/v1/jobs/job_{}/exports", "0".repeat(32));
     server.post_json(&other, &json!({ "exports": ["glb"] })).expect_problem(404, "not_found");
     server.get(&format!("/v1/jobs/job_{}/archive", "0".repeat(32))).expect_problem(404, "not_found");

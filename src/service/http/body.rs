@@ -7,6 +7,7 @@ use crate::service::store::folders::TemporaryFile;
 use axum::body::{Body, Bytes};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use http_body_util::BodyExt;
+use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 use std::time::Duration;
 use tokio::io::AsyncWriteExt;
@@ -107,6 +108,14 @@ impl<'a> GuardedBody<'a> {
         let drained = async { while self.received < end && matches!(self.chunk().await, Ok(Some(_))) {} };
         let _ = timeout(Duration::from_secs(2), drained).await; // the client gets little time
     }
+}
+
+/// Reads the JSON object of a body. A list is refused: serde would take its items as the fields of `T` in their order.
+pub(super) fn object<T: DeserializeOwned>(text: &[u8], remedy: &str) -> Result<T, Problem> {
+    if text.trim_ascii_start().first().is_some_and(|first| *first != b'{') {
+        return Err(Problem::malformed("the body is not a JSON object", remedy));
+    }
+    serde_json::from_slice(text).map_err(|error| Problem::malformed(format!("the body: {error}"), remedy))
 }
 
 /// A refused body and its problem; the answer is sent after some of the rest was read.

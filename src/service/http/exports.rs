@@ -2,7 +2,7 @@
 
 use super::access::Caller;
 use super::app::App;
-use super::body::GuardedBody;
+use super::body::{GuardedBody, object};
 use super::error::Problem;
 use super::extract::{ApiPath, JobPath};
 use super::results::{FileRequest, JsonFile, published_fence, replaced};
@@ -58,8 +58,7 @@ async fn read_formats(app: &App, headers: &HeaderMap, body: Body) -> Result<Vec<
     let body = unless_refused(GuardedBody::new(headers, body, limits, limits.max_json_bytes)).await?;
     let text = unless_refused(body.read_all().await).await?;
     let remedy = "send {\"exports\": [\"<format>\"]} with at least one format of the option `exports`";
-    let asked: NewExports =
-        serde_json::from_slice(&text).map_err(|error| Problem::malformed(format!("the body: {error}"), remedy))?;
+    let asked: NewExports = object(&text, remedy)?;
     if asked.exports.is_empty() {
         return Err(Problem::malformed("`exports` is empty", remedy).at("/exports"));
     }

@@ -2,6 +2,7 @@
 
 use super::error::Problem;
 use axum::extract::{FromRequestParts, Path, Query};
+use axum::http::Uri;
 use axum::http::request::Parts;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -10,7 +11,7 @@ use utoipa::IntoParams;
 /// [`Path`] that answers a malformed path with a problem document.
 pub(super) struct ApiPath<T>(pub(super) T);
 
-/// [`Query`] that answers a malformed query with a problem document.
+/// [`Query`] that answers a malformed query with a problem document; an empty parameter counts as absent.
 pub(super) struct ApiQuery<T>(pub(super) T);
 
 impl<T: DeserializeOwned + Send, S: Sync + Send> FromRequestParts<S> for ApiPath<T> {
@@ -26,11 +27,23 @@ impl<T: DeserializeOwned + Send, S: Sync + Send> FromRequestParts<S> for ApiPath
 impl<T: DeserializeOwned, S: Sync + Send> FromRequestParts<S> for ApiQuery<T> {
     type Rejection = Problem;
 
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Problem> {
         require_storable(parts)?;
-        let query = Query::from_request_parts(parts, state).await;
-        query.map(|Query(query)| Self(query)).map_err(|error| Problem::malformed(error.body_text(), "check the query"))
+        let given = Uri::try_from(format!("/?{}", given(parts.uri.query().unwrap_or_default())));
+        let query = Query::try_from_uri(&given.map_err(Problem::internal)?).map_err(|error| {
+            let text = error.body_text();
+            let reason = text.rsplit_once("query string: ").map_or(text.as_str(), |(_, reason)| reason);
+            let remedy = "correct the parameter, or leave it out; GET /openapi.json states what each one takes";
+            Problem::malformed(format!("the query: {reason}"), remedy)
+        });
+        query.map(|Query(query)| Self(query))
     }
+}
+
+/// A query without the parameters that are empty: forms and scripts send those for what is not set.
+fn given(query: &str) -> String {
+    let is_given = |pair: &&str| pair.split_once('=').is_some_and(|(_, value)| !value.is_empty());
+    query.split('&').filter(is_given).collect::<Vec<_>>().join("&")
 }
 
 /// Refuses the character U+0000, which PostgreSQL takes in no text, with every database.
@@ -57,4 +70,15 @@ pub(super) struct JobPath {
     /// Id of the job.
     #[param(pattern = "^job_[0-9a-f]{32}$")]
     pub(super) id: String,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn empty_query_parameters_were_refused_as_numbers() {
+        assert_eq!(given("page_size=&wait&state=&label=a=&page_token=s1"), "label=a=&page_token=s1");
+        assert_eq!(given(""), "");
+    }
 }

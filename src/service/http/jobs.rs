@@ -66,12 +66,11 @@ pub(super) async fn list(
     Caller { tenant }: Caller,
     ApiQuery(query): ApiQuery<ListQuery>,
 ) -> Result<Response, Problem> {
-    let state = query.state.filter(|state| !state.is_empty());
-    let state = state.map(|state| Phase::parse(&state).ok_or(state)).transpose().map_err(|state| {
+    let state = query.state.map(|state| Phase::parse(&state).ok_or(state)).transpose().map_err(|state| {
         let names = Phase::ALL.map(Phase::name).join(", ");
         Problem::malformed(format!("`{state}` is not a state of a job"), format!("use one of {names}"))
     })?;
-    let label = query.label.filter(|label| !label.is_empty()).map(|label| match label.split_once('=') {
+    let label = query.label.map(|label| match label.split_once('=') {
         Some((key, value)) => LabelFilter { key: key.to_owned(), value: Some(value.to_owned()) },
         None => LabelFilter { key: label, value: None },
     });

@@ -1,6 +1,7 @@
 //! Reads and checks the options of a job before the job is accepted.
 
 use super::error::Problem;
+use crate::pipeline::option_table::OptionRow;
 use crate::pipeline::{CameraFacts, Options, PipelineError};
 use crate::service::bodies;
 use axum::http::StatusCode;
@@ -26,14 +27,17 @@ fn find_bad_option(options: &Map<String, Value>) -> Option<Problem> {
         let alone = Value::Object(Map::from_iter([(key.clone(), value.clone())]));
         let error = serde_json::from_value::<Options>(alone).err()?;
         let pointer = format!("/options/{}", key.replace('~', "~0").replace('/', "~1"));
-        let code = if is_known(key) { "option_malformed" } else { "option_unknown" };
-        let remedy = if is_known(key) { "see the description of the option" } else { "remove it" };
+        let (code, remedy) = match OptionRow::named(key) {
+            None => ("option_unknown", "remove it".to_owned()),
+            Some(OptionRow { kind, .. }) if kind.range().is_empty() => {
+                ("option_malformed", format!("send a value of the type {}", kind.name()))
+            }
+            Some(OptionRow { kind, .. }) => {
+                ("option_malformed", format!("send a value of the type {} ({})", kind.name(), kind.range()))
+            }
+        };
         Some(Problem::new(StatusCode::BAD_REQUEST, code, format!("options: {error}"), remedy).at(pointer))
     })
-}
-
-fn is_known(key: &str) -> bool {
-    serde_json::to_value(Options::default()).is_ok_and(|all| all.get(key).is_some())
 }
 
 /// Checks that the session and the registered body models support the options.

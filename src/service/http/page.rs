@@ -33,8 +33,10 @@ pub(super) struct PageQuery {
 impl PageQuery {
     /// Upper bound (exclusive) of the `seq` of the rows on this page; `None` on the first page.
     pub(super) fn before(&self) -> Result<Option<i64>, Problem> {
-        let token = self.page_token.as_deref().filter(|token| !token.is_empty());
-        let seq = token.map(|token| token.strip_prefix('s').and_then(|seq| i64::from_str_radix(seq, 16).ok()));
+        let seq = self
+            .page_token
+            .as_deref()
+            .map(|token| token.strip_prefix('s').and_then(|seq| i64::from_str_radix(seq, 16).ok()));
         match seq {
             Some(None) => Err(Problem::malformed(
                 "the page_token is invalid",

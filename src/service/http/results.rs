@@ -7,6 +7,7 @@ use super::error::Problem;
 use super::extract::{ApiPath, JobPath};
 use super::range::{Part, requested_part};
 use crate::service::metrics::Held;
+use crate::service::queue::Phase;
 use crate::service::queue::job::JobState;
 use crate::service::store::artifacts::{self, Artifact, digest_of};
 use crate::service::store::{StoreError, Tenant};
@@ -168,7 +169,7 @@ pub(super) async fn published_fence(app: &App, tenant: &Tenant, id: &str) -> Res
     let job = app.queue.get(tenant, id).await?.ok_or_else(|| Problem::not_found("job"))?;
     match job.state {
         JobState::Succeeded { result_fence, .. } => Ok(result_fence),
-        other => Err(not_ready(id, other.phase().name())),
+        other => Err(not_ready(id, other.phase())),
     }
 }
 
@@ -177,13 +178,13 @@ pub(super) fn replaced() -> Problem {
     Problem::unavailable("busy", "formats were added to the result in this moment")
 }
 
-fn not_ready(id: &str, state: &str) -> Problem {
-    Problem::new(
-        StatusCode::CONFLICT,
-        "not_ready",
-        format!("the job is {state} and has no result"),
-        format!("wait for `succeeded` with GET /v1/jobs/{id}?wait=30"),
-    )
+fn not_ready(id: &str, phase: Phase) -> Problem {
+    let remedy = match phase.is_final() {
+        true => format!("it will have none: GET /v1/jobs/{id} states the reason; submit another job"),
+        false => format!("wait for `succeeded` with GET /v1/jobs/{id}?wait=30"),
+    };
+    let detail = format!("the job is {} and has no result", phase.name());
+    Problem::new(StatusCode::CONFLICT, "not_ready", detail, remedy)
 }
 
 pub(super) fn no_such_file(id: &str) -> Problem {

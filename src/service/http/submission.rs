@@ -2,7 +2,7 @@
 
 use super::access::Caller;
 use super::app::App;
-use super::body::GuardedBody;
+use super::body::{GuardedBody, object};
 use super::correction::{corrected_job, not_an_object, with_options_of};
 use super::error::Problem;
 use super::jobs::{JobDocument, answer};
@@ -21,7 +21,8 @@ use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
-use serde_json::{Value, json};
+use serde::de::{Deserializer, Error as _};
+use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use utoipa::openapi::schema::{AdditionalProperties, Object, ObjectBuilder, Type};
 use utoipa::{IntoParams, ToSchema};
@@ -60,7 +61,14 @@ struct NewJobBody {
     #[serde(default)]
     #[schema(minimum = -1000, maximum = 1000, default = 0)]
     priority: i64,
+    #[serde(default, deserialize_with = "webhook_object")]
     webhook: Option<Webhook>,
+}
+
+/// Reads a webhook from an object only: serde would take a list of its values, too.
+fn webhook_object<'de, D: Deserializer<'de>>(document: D) -> Result<Option<Webhook>, D::Error> {
+    let object = Option::<Map<String, Value>>::deserialize(document)?;
+    object.map(|object| Webhook::deserialize(Value::Object(object)).map_err(D::Error::custom)).transpose()
 }
 
 impl NewJobBody {
@@ -93,7 +101,7 @@ fn labels_schema() -> Object {
         .schema_type(Type::Object)
         .description(Some("Marks of the client, which `GET /v1/jobs?label=` can filter by"))
         .max_properties(Some(MAX_LABELS))
-        .property_names(Some(text().min_length(Some(1))))
+        .property_names(Some(text().min_length(Some(1)).pattern(Some("^[^=]+$"))))
         .additional_properties(Some(AdditionalProperties::RefOr(text().build().into())))
         .build()
 }
@@ -207,12 +215,7 @@ async fn read_document(app: &App, headers: &HeaderMap, body: Body) -> Result<New
     let limits = &app.settings.limits;
     let body = unless_refused(GuardedBody::new(headers, body, limits, limits.max_json_bytes)).await?;
     let text = unless_refused(body.read_all().await).await?;
-    serde_json::from_slice(&text).map_err(|error| {
-        Problem::malformed(
-            format!("the body: {error}"),
-            "send {\"session\": \"<id>\", \"options\"?: {…}, \"labels\"?: {…}, \"priority\"?: 0}",
-        )
-    })
+    object(&text, "send {\"session\": \"<id>\", \"options\"?: {…}, \"labels\"?: {…}, \"priority\"?: 0}")
 }
 
 async fn of_stored_session(
@@ -297,6 +300,11 @@ fn check_labels_and_priority(labels: &BTreeMap<String, String>, priority: i64) -
         return Err(
             Problem::malformed("there are too many labels, or a label is too long or empty", remedy).at("/labels")
         );
+    }
+    if let Some(key) = labels.keys().find(|key| key.contains('=')) {
+        let detail =
+            format!("the key of the label {key:?} has the character =, which ends the key in ?label=key=value");
+        return Err(Problem::malformed(detail, "write the key without it").at("/labels"));
     }
     if labels.iter().any(|(key, value)| key.contains('\0') || value.contains('\0')) {
         let detail = "a label has the character U+0000";

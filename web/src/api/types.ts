@@ -67,6 +67,8 @@ export interface Cause {
 /** A probable mistake in the files. */
 export interface Suspicion {
   code: string
+  /** The first of `cameras`; null where it is the whole recording. */
+  camera: string | null
   cameras: string[]
   evidence: string
   remedy: string

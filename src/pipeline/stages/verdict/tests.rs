@@ -213,16 +213,7 @@ fn a_camera_without_detections_was_said_to_disagree() {
 
 #[test]
 fn a_suspicion_replaces_other_reasons_about_its_camera() {
-    let suspicion = |code| Suspicion {
-        code,
-        cameras: vec!["cam2".to_owned()],
-        evidence: "its frames are 7 frames late".to_owned(),
-        remedy: "synchronise".to_owned(),
-        suggested_option: None,
-        image_scale: None,
-        radial_change: None,
-        applied: false,
-    };
+    let suspicion = |code| Suspicion::new(code, vec!["cam2".to_owned()], "its frames are 7 frames late", "synchronise");
     assert_reason(Verdict::Warn, &["cam2", "7 frames", "synchronise"], |input| {
         input.suspicions.push(suspicion(SuspicionCode::TimeOffset));
         input.cameras[2].reprojection_mm = error(40.0);
