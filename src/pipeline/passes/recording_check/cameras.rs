@@ -1,13 +1,14 @@
 //! Single cameras: files that need another reading, exchanged labels.
 
 use super::solved::Solved;
+use crate::matching::tracklets::Tracklet;
 use crate::optim::robust::median;
 use crate::pipeline::stages::recording_check::agreement::explained_share;
 use crate::pipeline::stages::recording_check::handedness::upside_down;
 use crate::pipeline::stages::recording_check::labels::exchange;
 use crate::pipeline::stages::recording_check::reading::{Judged, Question, Reading};
 use crate::progress::{Canceled, Progress};
-use crate::session::{Suspicion, SuspicionCode as Code};
+use crate::session::{JointTrajectory, PersonTrack, Suspicion, SuspicionCode as Code};
 use rayon::prelude::*;
 
 /// A camera is read in other ways where its people explain this much less of its detections than is usual.
@@ -53,15 +54,7 @@ pub(super) fn other_readings(solved: &Solved, found: &mut Vec<Suspicion>, progre
     let tracklets = solved.given.tracklets();
     for view in doubtful {
         progress.check()?;
-        let question = Question {
-            session: solved.session(),
-            view,
-            tracklets: &tracklets[view],
-            people: solved.paths,
-            camera: cameras[view].as_ref(),
-            seed: solved.given.options.seed,
-        };
-        let [given, other, factor] = question.judged();
+        let [given, other, factor] = judged(solved, view, &tracklets[view], solved.paths);
         tracing::debug!(view, ?given, ?other, ?factor, usual, "readings of a camera's files");
         // A factor fits some of anything: it has to explain clearly more than what has no free parameter.
         let order = if factor.explained > other.explained + MIN_LEAD { [factor, other] } else { [other, factor] };
@@ -70,6 +63,44 @@ pub(super) fn other_readings(solved: &Solved, found: &mut Vec<Suspicion>, progre
         }
     }
     Ok(())
+}
+
+/// Readings of all cameras beside the largest of `groups` under which they see its people; empty where one of these cameras has none.
+pub(super) fn readings_of_groups(
+    solved: &Solved,
+    groups: &[Vec<usize>],
+    progress: &Progress,
+) -> Result<Vec<Suspicion>, Canceled> {
+    let [largest, others @ ..] = groups else { return Ok(Vec::new()) };
+    let is_seen = |track: &PersonTrack| {
+        let n_in =
+            |views: &[usize]| views.iter().map(|&v| track.detections.iter().filter(|d| d[v].is_some()).count()).sum();
+        let (in_largest, in_others): (usize, usize) = (n_in(largest), others.iter().map(|group| n_in(group)).sum());
+        in_largest > in_others
+    };
+    let tracks = solved.calibration.association.tracks.iter().zip(solved.paths);
+    let people: Vec<JointTrajectory> =
+        tracks.filter(|(track, _)| is_seen(track)).map(|(_, path)| path.clone()).collect();
+    let (views, cameras) = (&solved.given.views, &solved.calibration.cameras);
+    let share = |&v: &usize| Some(explained_share(&views[v], cameras[v].as_ref()?, &people, 0));
+    let Some(usual) = median(&mut largest.iter().filter_map(share).collect::<Vec<_>>()) else { return Ok(Vec::new()) };
+    let tracklets = solved.given.tracklets();
+    let mut found = Vec::new();
+    for &view in others.iter().flatten() {
+        progress.check()?;
+        let [given, other, _] = judged(solved, view, &tracklets[view], &people);
+        tracing::debug!(view, ?given, ?other, usual, "readings of a camera that sees other people");
+        let suspicion = is_right(other, given, usual).then(|| of_reading(solved, view, given, other)).flatten();
+        let Some(suspicion) = suspicion else { return Ok(Vec::new()) };
+        found.push(suspicion);
+    }
+    Ok(found)
+}
+
+/// How well each kind of reading of a camera's files lets it see people.
+fn judged(solved: &Solved, view: usize, tracklets: &[Tracklet], people: &[JointTrajectory]) -> [Judged; 3] {
+    let (session, camera) = (solved.session(), solved.calibration.cameras[view].as_ref());
+    Question { session, view, tracklets, people, camera, seed: solved.given.options.seed }.judged()
 }
 
 /// Whether the files of a camera are to be read otherwise than given.

@@ -20,14 +20,15 @@ pub use unsolved::mistake_of_unsolved;
 
 /// Every suspicion that the solution raises.
 pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, Canceled> {
-    let spoils_all = |s: &Suspicion| s.cameras.is_empty() && s.code.affects_cameras();
+    // Cameras at wrong given places spoil the people that all others are judged by.
+    let spoils_all = |s: &Suspicion| s.code.affects_cameras() && (s.cameras.is_empty() || s.code == Code::GivenPoses);
     if solved.unnamed(&[]).len() < 2 || solved.known.iter().any(spoils_all) {
         return Ok(Vec::new());
     }
     let mut weighted = progress.steps([1.0, 0.5, 1.0, 0.5]);
     let mut found = Vec::new();
     let step = weighted.begin("reading the files of cameras in other ways");
-    whole::separate_takes(solved, &mut found);
+    whole::separate_takes(solved, &mut found, &step)?;
     if found.is_empty() {
         cameras::other_readings(solved, &mut found, &step)?;
         whole::other_take(solved, &mut found, &step)?;

@@ -1,6 +1,6 @@
 //! The recording as a whole: several takes, a mirrored world, a wrong frame rate.
 
-use super::cameras::MOST;
+use super::cameras::{self, MOST};
 use super::solved::Solved;
 use crate::pipeline::capture::Capture;
 use crate::pipeline::config::{Extrinsics, Options};
@@ -14,11 +14,16 @@ use crate::pipeline::stages::recording_check::takes::groups;
 use crate::progress::{Canceled, Progress};
 use crate::session::{Session, Suspicion, SuspicionCode as Code};
 
-/// Groups of cameras that see different people.
-pub(super) fn separate_takes(solved: &Solved, found: &mut Vec<Suspicion>) {
+/// Groups of cameras that see different people: mirrored ones agree with each other, as those of another take.
+pub(super) fn separate_takes(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
     let groups = groups(&solved.people());
     tracing::debug!(?groups, "cameras that see the same people");
     if groups.iter().filter(|group| group.len() >= 2).count() >= 2 {
+        let read_otherwise = cameras::readings_of_groups(solved, &groups, progress)?;
+        if !read_otherwise.is_empty() {
+            found.extend(read_otherwise);
+            return Ok(());
+        }
         let listed: Vec<String> = groups.iter().map(|group| solved.ids(group).join(", ")).collect();
         let evidence = format!(
             "no person is seen, or moves alike, in two of these groups of cameras at one time: {}",
@@ -27,6 +32,7 @@ pub(super) fn separate_takes(solved: &Solved, found: &mut Vec<Suspicion>) {
         let remedy = "give the files of one take, and check whether some cameras started much later";
         found.push(Suspicion::new(Code::SeveralTakes, Vec::new(), evidence, remedy));
     }
+    Ok(())
 }
 
 /// A rig of the cameras without a pose counts where its pairs agree this much of those of the solved ones: chance agreements have
