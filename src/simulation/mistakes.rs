@@ -11,7 +11,7 @@ use crate::session::recording::{Keypoint, Session};
 use crate::session::suspicion::SuspicionCode as Code;
 use changes::{
     ODD, PARTNER, crowded, doubled, dropped, everywhere, exchanged, frozen, halved, knocked, labels_exchanged, last,
-    late, lens_changed, mapped, moved, opengl, portrait, slowed, two_takes, upwards, zoomed,
+    late, lens_changed, mapped, moved, opengl, portrait, poses_exchanged, slowed, two_takes, upwards, zoomed,
 };
 use nalgebra::Vector2;
 
@@ -101,6 +101,11 @@ pub const MISTAKES: &[Mistake] = &[
     odd("images mirrored in one camera", &[Code::Mirrored], |s| {
         Some(moved(s, &[ODD], |lens, p| Vector2::new(last(lens.width) - p.x, p.y)))
     }),
+    two("images mirrored in two cameras", &[Code::Mirrored], |s| {
+        // Of four cameras each half may be the mirrored one.
+        let mirrored = || moved(s, &[ODD, PARTNER], |lens, p| Vector2::new(last(lens.width) - p.x, p.y));
+        (s.views.len() >= 5).then(mirrored)
+    }),
     odd("y counted upwards in one camera", &[Code::YUpwards], |s| Some(moved(s, &[ODD], upwards))),
     odd("left and right exchanged in one camera", &[Code::LabelsExchanged], |s| Some(labels_exchanged(s, &[ODD]))),
     all("calibration of half the resolution", &[Code::Resolution], |s| {
@@ -123,6 +128,10 @@ pub const MISTAKES: &[Mistake] = &[
     Mistake {
         options: r#"{"extrinsics": "refine"}"#,
         ..all("given poses in the axes of OpenGL", &[Code::GivenPoses], opengl)
+    },
+    Mistake {
+        options: r#"{"extrinsics": "fixed"}"#,
+        ..two("given poses of two cameras exchanged", &[Code::GivenPoses], poses_exchanged)
     },
 ];
 
@@ -197,6 +206,7 @@ mod tests {
             "confidences x 0.1",
             "every second frame missing",
             "given poses in the axes of OpenGL",
+            "given poses of two cameras exchanged",
         ];
         for name in names {
             let mistake = MISTAKES.iter().find(|mistake| mistake.name == name).unwrap();

@@ -22,6 +22,7 @@ use crate::session::{Reconstruction, Session, Suspicion};
 use crate::simulation::mistakes::{COMBINATIONS, MISTAKES, Mistake};
 use nalgebra::Vector3;
 use serde::Serialize;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -239,14 +240,11 @@ fn limbs_mm(errors: &Evaluation) -> Option<f64> {
 
 fn judged(mistakes: &[&Mistake], session: &Session, clean: &Solved, solved: &Solved) -> Outcome {
     let is_named = |mistake: &&Mistake| {
-        let mut expected: Vec<&str> = mistake.cameras.iter().map(|&v| session.views[v].id.as_str()).collect();
-        expected.sort_unstable();
-        let is_right = |suspicion: &Suspicion| {
-            let mut cameras: Vec<&str> = suspicion.cameras.iter().map(String::as_str).collect();
-            cameras.sort_unstable();
-            mistake.codes.contains(&suspicion.code) && (expected.is_empty() || cameras == expected)
-        };
-        solved.suspicions.iter().any(is_right)
+        let expected: BTreeSet<&str> = mistake.cameras.iter().map(|&v| session.views[v].id.as_str()).collect();
+        let mut right = solved.suspicions.iter().filter(|suspicion| mistake.codes.contains(&suspicion.code)).peekable();
+        let is_found = right.peek().is_some();
+        let cameras: BTreeSet<&str> = right.flat_map(|s| s.cameras.iter().map(String::as_str)).collect();
+        is_found && (expected.is_empty() || cameras == expected)
     };
     if mistakes.iter().all(is_named) {
         Outcome::Named

@@ -217,6 +217,16 @@ pub(super) fn crowded(session: &Session) -> Option<Session> {
     (2 * n_crowded > session.n_frames).then(|| session.clone())
 }
 
+/// Given poses of two cameras, each of which has that of the other.
+pub(super) fn poses_exchanged(session: &Session) -> Option<Session> {
+    let pose = |view: usize| session.views.get(view)?.camera_from_world;
+    let (odd, partner) = (pose(ODD)?, pose(PARTNER)?);
+    let mut changed = session.clone();
+    changed.views[ODD].camera_from_world = Some(partner);
+    changed.views[PARTNER].camera_from_world = Some(odd);
+    Some(changed)
+}
+
 /// Given poses of cameras that look along -z with y up.
 pub(super) fn opengl(session: &Session) -> Option<Session> {
     let flip = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
