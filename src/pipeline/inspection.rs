@@ -98,6 +98,9 @@ const COLLINEAR: f64 = 0.05;
 /// Movement in every camera, as a share of the own height, below which people count as static.
 const STATIC: f64 = 0.1;
 
+/// Frames of a camera that are compared with each other for movement.
+const MAX_COMPARED: usize = 12;
+
 /// Detections that one core solves per second, all stages together: an assumption for the expected cost, not a measurement.
 const DETECTIONS_PER_CORE_SECOND: f64 = 400.0;
 
@@ -211,13 +214,22 @@ fn static_people(session: &Session) -> Option<Finding> {
     is_static.then_some(Finding { code: "static", detail, cameras: Vec::new() })
 }
 
-/// Standard deviation of the positions of all people in the image, as a share of their median height.
+/// Median distance from a person to the nearest one in other frames, as a share of the people's median height: several people who
+/// stand apart do not move.
 fn spread(view: &View) -> Option<f64> {
-    let middles: Vec<Vector2<f64>> = view.frames.iter().flatten().filter_map(middle).collect();
     let height = median(&mut view.frames.iter().flatten().filter_map(height_px).collect::<Vec<_>>())?;
-    let mean = middles.iter().sum::<Vector2<f64>>() / middles.len() as f64;
-    let variance = middles.iter().map(|middle| (middle - mean).norm_squared()).sum::<f64>() / middles.len() as f64;
-    Some(variance.sqrt() / height)
+    let seen: Vec<Vec<Vector2<f64>>> =
+        view.frames.iter().map(|people| people.iter().filter_map(middle).collect()).collect();
+    let seen: Vec<&Vec<Vector2<f64>>> = seen.iter().filter(|people| !people.is_empty()).collect();
+    let compared: Vec<_> = seen.iter().step_by(seen.len().div_ceil(MAX_COMPARED).max(1)).collect();
+    let mut distances = Vec::new();
+    for (i, people) in compared.iter().enumerate() {
+        for (_, others) in compared.iter().enumerate().filter(|(k, _)| *k != i) {
+            let nearest = |person: &Vector2<f64>| others.iter().map(|other| (other - person).norm()).reduce(f64::min);
+            distances.extend(people.iter().filter_map(nearest));
+        }
+    }
+    Some(median(&mut distances)? / height)
 }
 
 fn middle(person: &Detection) -> Option<Vector2<f64>> {

@@ -88,3 +88,14 @@ fn time_offsets_were_ignored_by_the_inspection() {
     assert_eq!(inspection.pairs[0].frames_together, 50);
     assert_eq!((inspection.findings.len(), inspection.cameras[1].frames_with_people), (0, 50));
 }
+
+#[test]
+fn two_people_standing_apart_looked_like_movement() {
+    let mut still = session(&[[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 4.0]], 100, 0.0);
+    for people in still.views.iter_mut().flat_map(|view| &mut view.frames) {
+        let mut other = people[0].clone();
+        other.keypoints.iter_mut().for_each(|keypoint| keypoint.pixel.x += 400.0);
+        people.push(other);
+    }
+    assert_eq!(codes(&still), ["static"]);
+}

@@ -59,8 +59,8 @@ pub fn estimated_timing(
     let mut rounds = Rounds::new(session, options, clocks);
     rounds.run(last, &refining)?;
     let metrics = [
-        ("pairs", whole.n_pairs as f64),
-        ("pair_agreement", whole.agreement),
+        ("pairs", whole.n_pairs() as f64),
+        ("pair_agreement", whole.agreement()),
         ("last_step_frames", rounds.largest_step),
     ];
     let termination = if rounds.is_converged() { "converged" } else { "rounds_exhausted" };

@@ -3,6 +3,7 @@
 use super::solved::Solved;
 use crate::matching::tracklets::Tracklet;
 use crate::optim::robust::median;
+use crate::pipeline::config::Sync;
 use crate::pipeline::stages::recording_check::agreement::explained_share;
 use crate::pipeline::stages::recording_check::handedness::upside_down;
 use crate::pipeline::stages::recording_check::labels::exchange;
@@ -133,10 +134,15 @@ fn of_reading(solved: &Solved, view: usize, given: Judged, best: Judged) -> Opti
             (Code::LabelsExchanged, "left and right exchanged".to_owned(), "exchange them back")
         }
         Reading::Late(frames) => {
-            option = Some(r#"{"sync": "estimate"}"#.to_owned());
+            let is_estimated = solved.given.options.sync == Sync::Estimate;
+            option = (!is_estimated).then(|| r#"{"sync": "estimate"}"#.to_owned());
+            let remedy = match is_estimated {
+                true => "give its time_offset in the session, or files that begin at the time of the others'",
+                false => "let the time offsets be estimated",
+            };
             let direction = if frames > 0 { "lower" } else { "higher" };
             let reading = format!("frame numbers that are {} {direction}", frames.abs());
-            (Code::TimeOffset, reading, "let the time offsets be estimated")
+            (Code::TimeOffset, reading, remedy)
         }
         Reading::FocalFactor(factor) => {
             option = Some(r#"{"intrinsics": "refine_focal"}"#.to_owned());

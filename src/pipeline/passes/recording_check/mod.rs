@@ -9,13 +9,16 @@ mod free_adjustment;
 mod lenses;
 mod parameters;
 pub mod solved;
+mod start_times;
 mod steps;
 mod unsolved;
 mod whole;
 
+use crate::pipeline::stages::recording_check::takes::groups;
 use crate::progress::{Canceled, Progress};
 use crate::session::{Suspicion, SuspicionCode as Code};
 use solved::Solved;
+use start_times::late_cameras;
 pub use unsolved::mistake_of_unsolved;
 
 /// Every suspicion that the solution raises.
@@ -28,9 +31,15 @@ pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, C
     let mut weighted = progress.steps([1.0, 0.5, 1.0, 0.5]);
     let mut found = Vec::new();
     let step = weighted.begin("reading the files of cameras in other ways");
-    whole::separate_takes(solved, &mut found, &step)?;
+    let groups = groups(&solved.people());
+    tracing::debug!(?groups, "cameras that see the same people");
+    whole::separate_takes(solved, &groups, &mut found, &step)?;
     if found.is_empty() {
         cameras::other_readings(solved, &mut found, &step)?;
+        let has_strangers = groups.len() > 1 || solved.calibration.cameras.contains(&None);
+        if found.is_empty() && has_strangers {
+            found.extend(late_cameras(solved.given, &step)?);
+        }
         whole::other_take(solved, &mut found, &step)?;
         if found.is_empty() {
             found.extend(unsolved::mistake_of_pair(solved, &step)?);

@@ -14,6 +14,9 @@ use crate::session::{Session, Suspicion, SuspicionCode as Code};
 /// With more cameras, one that is read wrongly leaves enough others that can be placed.
 const MAX_CAMERAS: usize = 4;
 
+/// Readings of all cameras take minutes for more.
+const MAX_CAMERAS_AT_ONCE: usize = 16;
+
 /// Common factors on the focal lengths: images of another resolution, or a guessed angle of view.
 const FOCAL_FACTORS: [f64; 4] = [0.5, 0.67, 1.5, 2.0];
 
@@ -52,7 +55,7 @@ fn better_reading(
     progress: &Progress,
 ) -> Result<Option<Suspicion>, Canceled> {
     let n_cameras = given.views.len();
-    if !given.estimates_extrinsics() || !(2..=MAX_CAMERAS).contains(&n_cameras) {
+    if !given.estimates_extrinsics() || !(2..=MAX_CAMERAS_AT_ONCE).contains(&n_cameras) {
         return Ok(None);
     }
     let mut best: Option<(f64, Suspicion)> = None;
@@ -85,7 +88,8 @@ fn better_reading(
 
 fn readings(given: &Capture) -> Vec<Reading> {
     let Capture { session, options, .. } = *given;
-    let of_files = session.views.iter().flat_map(|view| {
+    let read_alone = if session.views.len() > MAX_CAMERAS { &[] } else { session.views.as_slice() };
+    let of_files = read_alone.iter().flat_map(|view| {
         let is_down = upside_down(session.convention, view).is_some_and(|share| share > MOST);
         let (code, evidence, remedy) = match is_down {
             true => (Code::YUpwards, "y is counted from the lower edge", "give y = height - 1 - y"),

@@ -2,6 +2,7 @@
 
 use super::cameras::{self, MOST};
 use super::solved::Solved;
+use super::start_times::late_cameras;
 use crate::pipeline::capture::Capture;
 use crate::pipeline::config::{Extrinsics, Options};
 use crate::pipeline::stages::camera_init::initial_rigs;
@@ -10,18 +11,24 @@ use crate::pipeline::stages::recording_check::frame_rate::{
 };
 use crate::pipeline::stages::recording_check::handedness::{handedness, upside_down};
 use crate::pipeline::stages::recording_check::motion_rate::{MotionRate, motion_rate};
-use crate::pipeline::stages::recording_check::takes::groups;
 use crate::progress::{Canceled, Progress};
 use crate::session::{Session, Suspicion, SuspicionCode as Code};
 
-/// Groups of cameras that see different people: mirrored ones agree with each other, as those of another take.
-pub(super) fn separate_takes(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
-    let groups = groups(&solved.people());
-    tracing::debug!(?groups, "cameras that see the same people");
+/// Groups of cameras that see different people: mirrored or late ones agree with each other, as those of another take.
+pub(super) fn separate_takes(
+    solved: &Solved,
+    groups: &[Vec<usize>],
+    found: &mut Vec<Suspicion>,
+    progress: &Progress,
+) -> Result<(), Canceled> {
     if groups.iter().filter(|group| group.len() >= 2).count() >= 2 {
-        let read_otherwise = cameras::readings_of_groups(solved, &groups, progress)?;
+        let read_otherwise = cameras::readings_of_groups(solved, groups, progress)?;
         if !read_otherwise.is_empty() {
             found.extend(read_otherwise);
+            return Ok(());
+        }
+        if let Some(late) = late_cameras(solved.given, progress)? {
+            found.push(late);
             return Ok(());
         }
         let listed: Vec<String> = groups.iter().map(|group| solved.ids(group).join(", ")).collect();

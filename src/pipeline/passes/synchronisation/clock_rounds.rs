@@ -126,9 +126,11 @@ impl<'a> Rounds<'a> {
     pub(super) fn time_offsets(&self, common: f64) -> Vec<TimeOffset> {
         let Session { fps, n_frames, .. } = *self.session;
         let rate = |drift: f64| rate_of_drift(drift, n_frames);
+        // Rounds that ended before the clocks stayed leave about as much as they last moved.
+        let unsettled = |delay: Delay| if self.is_converged() { 0.0 } else { delay.frames };
         let of_view = |(clock, delay): (&CameraClock, &Option<Delay>)| TimeOffset {
             secs: (clock.offset + common) / fps,
-            sigma_secs: delay.and_then(|delay| delay.sigma).map(|sigma| sigma / fps),
+            sigma_secs: delay.and_then(|delay| Some(delay.sigma?.hypot(unsettled(delay)) / fps)),
             drift: delay
                 .filter(|_| self.has_drifts)
                 .map(|delay| ClockDrift { rate: rate(clock.drift), sigma: delay.sigma_drift.map(rate) }),

@@ -7,6 +7,9 @@ use crate::session::reconstruction::{ConsistencyPair, ConsistencyReport, StageRe
 use crate::session::recording::PersonId;
 use std::collections::BTreeMap;
 
+/// Time without the detection of a person that does not end a swap, s.
+const BRIDGED_SECS: f64 = 0.1;
+
 /// Number of repairs per camera and person.
 pub(super) fn consistency_report(
     input: &TrackedPeople,
@@ -54,6 +57,7 @@ fn swaps(input: &TrackedPeople, tracks: &[PersonTrack]) -> Vec<(usize, PersonId,
             }
         }
     }
+    let bridged = ((BRIDGED_SECS * input.session.fps).round() as usize).max(1);
     let mut swaps = Vec::new();
     for ((view, _), mut frames) in shown {
         frames.sort_unstable();
@@ -65,8 +69,8 @@ fn swaps(input: &TrackedPeople, tracks: &[PersonTrack]) -> Vec<(usize, PersonId,
         let mut run: Option<(PersonId, [usize; 2])> = None;
         for (frame, person) in frames.into_iter().filter(|(_, person)| *person != usual) {
             match &mut run {
-                // A frame without the detection does not end a swap.
-                Some((current, range)) if *current == person && frame - range[1] <= 3 => range[1] = frame,
+                // Some frames without the detection do not end a swap.
+                Some((current, range)) if *current == person && frame - range[1] <= bridged => range[1] = frame,
                 _ => swaps.extend(run.replace((person, [frame, frame])).map(|(person, range)| (view, person, range))),
             }
         }

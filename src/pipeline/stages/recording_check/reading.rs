@@ -13,6 +13,7 @@ use crate::matching::normalized::{NormalizedDetection, NormalizedView};
 use crate::matching::tracklets::Tracklet;
 use crate::session::{Detection, JointTrajectory, Session, View};
 use nalgebra::{Vector2, Vector3};
+use rayon::prelude::*;
 
 /// A way to read the files of one camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,9 +35,12 @@ use Reading as R;
 /// Focal lengths that are tried: a tolerance of ten per cent reaches from one to the next.
 const FOCAL_FACTORS: [f64; 8] = [0.5, 0.6, 0.7, 0.83, 1.2, 1.4, 1.67, 2.0];
 
-/// Largest delay that is tried, frames, and the spacing of the first search: people move less than a keypoint's tolerance in it.
-const MAX_LATE: i64 = 15;
-const LATE_STEP: i64 = 3;
+/// Delays that are tried, s: of cameras that were started together, and of those started by hand where no other reading explains
+/// [`EXPLAINS`]; and the spacing of their search, in which people move less than a keypoint's tolerance.
+const NEAR_SECS: f64 = 0.5;
+const FAR_SECS: f64 = 10.0;
+const STEP_SECS: f64 = 0.1;
+const EXPLAINS: f64 = 0.6;
 
 /// Tracklets and persons that are compared, the longest first, and points of one comparison.
 const N_TRACKLETS: usize = 4;
@@ -81,29 +85,44 @@ pub struct Question<'a> {
 impl Question<'_> {
     /// The files as they are, the best of the other readings, and the best of the factors on the focal length.
     pub fn judged(&self) -> [Judged; 3] {
-        let coarse = (1..=MAX_LATE / LATE_STEP).flat_map(|n| [R::Late(n * LATE_STEP), R::Late(-n * LATE_STEP)]);
-        let fixed = [R::Mirrored, R::LabelsExchanged, R::Late(1), R::Late(-1)];
-        let first = self.best(fixed.into_iter().chain(coarse));
-        let second = match first.reading {
-            R::Late(n) => self.best((n - LATE_STEP + 1..n + LATE_STEP).filter(|m| *m != 0).map(R::Late)),
-            _ => first,
-        };
-        let other = if second.explained > first.explained { second } else { first };
-        [self.under(R::AsGiven), other, self.best(FOCAL_FACTORS.into_iter().map(R::FocalFactor))]
+        let [given, mirrored, exchanged] =
+            [R::AsGiven, R::Mirrored, R::LabelsExchanged].map(|reading| self.under(reading));
+        let frames = |secs: f64| ((secs * self.session.fps) as i64).min(self.session.n_frames as i64 / 2);
+        let near = self.latest(0, frames(NEAR_SECS));
+        let mut other = best([mirrored, exchanged, near]);
+        if best([given, other]).explained < EXPLAINS {
+            other = best([other, self.latest(frames(NEAR_SECS), frames(FAR_SECS))]);
+        }
+        [given, other, best(FOCAL_FACTORS.map(|factor| self.under(R::FocalFactor(factor))))]
     }
 
-    fn best(&self, readings: impl Iterator<Item = Reading>) -> Judged {
-        let none = Judged { reading: R::AsGiven, explained: 0.0 };
-        let judged = readings.map(|reading| self.under(reading));
-        judged.fold(none, |best, next| if next.explained > best.explained { next } else { best })
+    /// The best delay of more than `least` and up to `most` frames, either way.
+    fn latest(&self, least: i64, most: i64) -> Judged {
+        let view = read(self.session, self.view, R::AsGiven);
+        let step = ((STEP_SECS * self.session.fps) as i64).max(1);
+        let under = |frames: Vec<i64>| {
+            let judged: Vec<Judged> = frames.into_par_iter().map(|n| self.judged_under(&view, R::Late(n))).collect();
+            best(judged)
+        };
+        let coarse = (least + 1..=most).step_by(step as usize).flat_map(|n| [n, -n]).collect();
+        match under(coarse) {
+            first @ Judged { reading: R::Late(n), .. } => {
+                best([first, under((n - step + 1..n + step).filter(|m| *m != 0 && *m != n).collect())])
+            }
+            none => none,
+        }
     }
 
     fn under(&self, reading: Reading) -> Judged {
-        let view = read(self.session, self.view, reading);
+        self.judged_under(&read(self.session, self.view, reading), reading)
+    }
+
+    /// `view`: the files in this reading, at the given times.
+    fn judged_under(&self, view: &NormalizedView, reading: Reading) -> Judged {
         let late = if let R::Late(n) = reading { n } else { 0 };
         let known = self.camera.filter(|_| reading == R::AsGiven);
-        let poses = self.poses(&view, late);
-        let judged = poses.iter().chain(known).map(|pose| explained_share(&view, pose, self.people, late));
+        let poses = self.poses(view, late);
+        let judged = poses.iter().chain(known).map(|pose| explained_share(view, pose, self.people, late));
         Judged { reading, explained: judged.fold(0.0, f64::max) }
     }
 
@@ -127,6 +146,12 @@ impl Question<'_> {
         found.sort_by(|a, b| b.support.total_cmp(&a.support));
         found.into_iter().take(N_JUDGED).map(|pose| pose.camera_from_world).collect()
     }
+}
+
+/// The first of those that explain most; the files as they are where none explains any.
+fn best(readings: impl IntoIterator<Item = Judged>) -> Judged {
+    let none = Judged { reading: R::AsGiven, explained: 0.0 };
+    readings.into_iter().fold(none, |best, next| if next.explained > best.explained { next } else { best })
 }
 
 /// The detections of a view, read in another way.

@@ -2,7 +2,8 @@
 //!
 //! Each offset of a pair is scored by a small search for a relative pose that the paired tracklets support (the same
 //! hypotheses and score as for synchronous cameras): first on a coarse grid, then frame by frame around its best offsets.
-//! Single pairs may be wrong; the sum over all pairs decides.
+//! Single pairs may be wrong; the sum over all pairs decides. Offsets beyond the first reach are searched between cameras that agree at
+//! none of the near ones.
 
 use crate::geometry::Rigid;
 use crate::matching::normalized::NormalizedView;
@@ -13,8 +14,19 @@ use crate::pipeline::capture::Capture;
 use crate::progress::{Canceled, Progress};
 use rayon::prelude::*;
 
-/// Largest offset between two cameras, s: half as much from a common time either way. Texts of `unsolvable` name it.
-const MAX_OFFSET_SECS: f64 = 1.25;
+/// Largest offset between two cameras that were started together, s: half as much from a common time either way.
+const NEAR_SECS: f64 = 1.25;
+
+/// Largest offset of a camera that was started by hand, s. Texts of `unsolvable` name it.
+const FAR_SECS: f64 = 10.0;
+
+/// A pair of cameras agrees with this quality, and with this share of the best pair's: right ones have 0.4 to 0.8, chance 0.1 to 0.25,
+/// and up to 0.45 where a single person repeats a movement.
+const AGREES: f64 = 0.3;
+const AGREES_SHARE: f64 = 0.65;
+
+/// A far offset has to agree this many times as well as the best near one: of many offsets some agree by chance.
+const CLEARLY: f64 = 1.5;
 
 /// Spacing of the coarse grid, s: in that time people move by less than the tolerance of the score.
 const STEP_SECS: f64 = 0.1;
@@ -47,13 +59,49 @@ fn hypotheses_of_one_offset() -> HypothesisConfig {
 pub struct WholeOffsets {
     /// Frames, per view; 0 for the first, and for views without evidence.
     pub offsets: Vec<i64>,
+    /// The pairs of views that were compared.
+    pairs: Vec<PairScores>,
+}
+
+/// Cameras that did not start with most of the others.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Apart {
+    /// Indices of the cameras, and by how many frames their frame numbers are too high.
+    pub late: Vec<(usize, i64)>,
+    /// Mean quality of their pairs with the others, 0 to 1: at the frame numbers as they are, and with these corrected.
+    pub agreement: [f64; 2],
+}
+
+impl WholeOffsets {
     /// Number of pairs of views compared.
-    pub n_pairs: usize,
+    pub fn n_pairs(&self) -> usize {
+        self.pairs.len()
+    }
+
     /// Mean quality of the pairs at these offsets, 0 to 1.
-    pub agreement: f64,
+    pub fn agreement(&self) -> f64 {
+        agreement(self.pairs.iter(), &self.offsets)
+    }
+
+    /// The cameras that agree clearly better with most of the others at another time. `fps`: frame rate.
+    pub fn apart(&self, fps: f64) -> Option<Apart> {
+        let tolerance = grid_step(fps);
+        let is_near = |a: i64, b: i64| (a - b).abs() <= tolerance;
+        let n_near = |at: i64| self.offsets.iter().filter(|other| is_near(at, **other)).count();
+        let common = self.offsets.iter().copied().rev().max_by_key(|at| n_near(*at))?;
+        let late = self.offsets.iter().enumerate().filter(|(_, at)| !is_near(**at, common));
+        let late: Vec<(usize, i64)> = late.map(|(view, at)| (view, common - at)).collect();
+        let is_late = |view: &usize| late.iter().any(|(other, _)| other == view);
+        let across = self.pairs.iter().filter(|pair| pair.views.iter().filter(|view| is_late(view)).count() == 1);
+        let as_given = vec![0; self.offsets.len()];
+        let agreement = [&as_given, &self.offsets].map(|offsets| agreement(across.clone(), offsets));
+        let [before, after] = agreement;
+        (after > AGREES.max(CLEARLY * before)).then_some(Apart { late, agreement })
+    }
 }
 
 /// Scores of two views at every offset of the second against the first.
+#[derive(Debug, Clone, PartialEq)]
 struct PairScores {
     views: [usize; 2],
     /// Index 0 is the offset `-range`.
@@ -65,30 +113,89 @@ impl PairScores {
         let index = usize::try_from(offset + (self.scores.len() / 2) as i64);
         index.ok().and_then(|i| self.scores.get(i)).copied().unwrap_or(0.0)
     }
+
+    /// At the offsets of all views.
+    fn quality(&self, offsets: &[i64]) -> f64 {
+        let [a, b] = self.views;
+        self.at(offsets[b] - offsets[a])
+    }
+
+    fn is_within(&self, groups: &[usize]) -> bool {
+        let [a, b] = self.views;
+        groups[a] == groups[b]
+    }
 }
 
-/// Estimates the offsets.
+/// Estimates the offsets: near ones, and far ones between cameras that these leave unconnected.
 pub fn whole_offsets(capture: &Capture, progress: &Progress) -> Result<WholeOffsets, Canceled> {
-    let (fps, n_views) = (capture.session.fps, capture.views.len());
+    let n_views = capture.views.len();
     let followed = capture.tracklets();
-    // At least half of the recording is in common.
-    let range = ((MAX_OFFSET_SECS * fps).round() as i64).min(capture.session.n_frames as i64 / 2);
-    let step = ((STEP_SECS * fps).round() as i64).max(1);
-    let near = |a: usize, b: usize| b - a <= N_NEIGHBOURS || a + n_views - b <= N_NEIGHBOURS;
-    let pairs: Vec<[usize; 2]> =
-        (0..n_views).flat_map(|b| (0..b).map(move |a| [a, b])).filter(|[a, b]| near(*a, *b)).collect();
-    let scored: Vec<PairScores> = pairs
-        .par_iter()
-        .map(|&views| {
-            let scores = pair_scores(range, step, |offset| {
-                progress.check().map(|()| quality(capture, &followed, views, offset))
-            })?;
-            Ok(PairScores { views, scores })
-        })
-        .collect::<Result<_, Canceled>>()?;
-    let offsets = reconciled(n_views, range, &scored);
-    let agreed: f64 = scored.iter().map(|pair| pair.at(relative(pair, &offsets))).sum();
-    Ok(WholeOffsets { offsets, n_pairs: scored.len(), agreement: agreed / scored.len().max(1) as f64 })
+    let [near, far] = [NEAR_SECS, FAR_SECS].map(|secs| reach(capture, secs));
+    let compared = |pairs: Vec<[usize; 2]>, reach: i64| compared(capture, &followed, pairs, reach, progress);
+
+    let mut pairs = compared(neighbours(n_views), near)?;
+    let mut offsets = reconciled(n_views, near, &pairs);
+    let groups = agreeing(&pairs, &offsets);
+    let (across, within): (Vec<_>, Vec<_>) = pairs.iter().cloned().partition(|pair| !pair.is_within(&groups));
+    if !across.is_empty() && far > near {
+        let apart = compared(across.iter().map(|pair| pair.views).collect(), far)?;
+        let all = [within, apart.clone()].concat();
+        let moved = reconciled(n_views, far, &all);
+        let [before, after] = [agreement(across.iter(), &offsets), agreement(apart.iter(), &moved)];
+        tracing::debug!(?groups, before, after, ?moved, "cameras at far time offsets");
+        if after > CLEARLY * before {
+            (pairs, offsets) = (all, moved);
+        }
+    }
+    Ok(WholeOffsets { offsets, pairs })
+}
+
+/// Largest offset that is tried, frames: at least half of the recording is in common.
+fn reach(capture: &Capture, secs: f64) -> i64 {
+    ((secs * capture.session.fps).round() as i64).min(capture.session.n_frames as i64 / 2)
+}
+
+/// The pairs of cameras that are compared.
+fn neighbours(n_views: usize) -> Vec<[usize; 2]> {
+    let near = |[a, b]: &[usize; 2]| b - a <= N_NEIGHBOURS || a + n_views - b <= N_NEIGHBOURS;
+    (0..n_views).flat_map(|b| (0..b).map(move |a| [a, b])).filter(near).collect()
+}
+
+fn compared(
+    capture: &Capture,
+    followed: &[Vec<Tracklet>],
+    pairs: Vec<[usize; 2]>,
+    reach: i64,
+    progress: &Progress,
+) -> Result<Vec<PairScores>, Canceled> {
+    let step = grid_step(capture.session.fps);
+    let of_pair = |views: [usize; 2]| {
+        let score = |offset| progress.check().map(|()| quality(capture, followed, views, offset));
+        Ok(PairScores { views, scores: pair_scores(reach, step, score)? })
+    };
+    pairs.into_par_iter().map(of_pair).collect()
+}
+
+/// Mean quality of the pairs at these offsets, 0 to 1.
+fn agreement<'a>(pairs: impl Iterator<Item = &'a PairScores>, offsets: &[i64]) -> f64 {
+    let (sum, n) = pairs.fold((0.0, 0), |(sum, n), pair| (sum + pair.quality(offsets), n + 1));
+    sum / f64::from(n.max(1))
+}
+
+/// Spacing of the coarse grid, frames.
+fn grid_step(fps: f64) -> i64 {
+    ((STEP_SECS * fps).round() as i64).max(1)
+}
+
+/// By view its group: cameras that are connected by pairs which agree at these offsets.
+fn agreeing(pairs: &[PairScores], offsets: &[i64]) -> Vec<usize> {
+    let best = pairs.iter().map(|pair| pair.quality(offsets)).fold(0.0, f64::max);
+    let mut groups: Vec<usize> = (0..offsets.len()).collect();
+    for pair in pairs.iter().filter(|pair| pair.quality(offsets) >= AGREES.max(AGREES_SHARE * best)) {
+        let [joined, into] = pair.views.map(|v| groups[v]);
+        groups.iter_mut().filter(|group| **group == joined).for_each(|group| *group = into);
+    }
+    groups
 }
 
 /// Scores of every offset in `-range..=range`: computed on a grid and around its best offsets, interpolated in between.
@@ -160,10 +267,6 @@ fn shifted_tracklet(tracklet: &Tracklet, offset: i64, n_frames: usize) -> Option
     let target = |frame: usize| usize::try_from(frame as i64 + offset).ok().filter(|f| *f < n_frames);
     let detections: Vec<_> = tracklet.detections.iter().filter_map(|&(f, d)| Some((target(f)?, d))).collect();
     (!detections.is_empty()).then_some(Tracklet { detections })
-}
-
-fn relative(pair: &PairScores, offsets: &[i64]) -> i64 {
-    offsets[pair.views[1]] - offsets[pair.views[0]]
 }
 
 /// Largest number of sweeps over all views after the first assignment.

@@ -1,0 +1,35 @@
+//! Cameras that were started earlier or later than the others.
+
+use crate::pipeline::capture::Capture;
+use crate::pipeline::config::Sync;
+use crate::pipeline::stages::time_offsets::whole_frames::{Apart, whole_offsets};
+use crate::progress::{Canceled, Progress};
+use crate::session::{Session, Suspicion, SuspicionCode as Code};
+
+/// Cameras whose people agree with those of the others at other frame numbers than given.
+pub(super) fn late_cameras(given: &Capture, progress: &Progress) -> Result<Option<Suspicion>, Canceled> {
+    let Capture { session, options, .. } = *given;
+    if options.sync == Sync::Estimate {
+        return Ok(None);
+    }
+    let apart = whole_offsets(given, progress)?.apart(session.fps);
+    tracing::debug!(?apart, "start times of the cameras");
+    Ok(apart.map(|apart| of_cameras(session, &apart)))
+}
+
+fn of_cameras(session: &Session, Apart { late, agreement: [before, after] }: &Apart) -> Suspicion {
+    let ids: Vec<String> = late.iter().map(|&(view, _)| session.views[view].id.clone()).collect();
+    let changes = late
+        .iter()
+        .zip(&ids)
+        .map(|((_, frames), id)| format!("{} {} in {id}", frames.abs(), if *frames > 0 { "lower" } else { "higher" }));
+    let evidence = format!(
+        "the cameras agree with the others to {:.0} %, but to {:.0} % with frame numbers that are {}",
+        100.0 * before,
+        100.0 * after,
+        changes.collect::<Vec<_>>().join(", ")
+    );
+    let suggested_option = Some(r#"{"sync": "estimate"}"#.to_owned());
+    let remedy = "let the time offsets be estimated";
+    Suspicion { suggested_option, ..Suspicion::new(Code::TimeOffset, ids, evidence, remedy) }
+}
