@@ -1,5 +1,8 @@
 //! Clocks of the cameras against the common time line.
 
+/// Largest offset between cameras that is looked for, s: of cameras that were started by hand.
+pub const MAX_OFFSET_SECS: f64 = 10.0;
+
 /// A camera's clock: its frame `n` is taken at `n + offset + drift * t` frames of the common time line, `t` from -1 at the first
 /// frame of the take to 1 at the last ([`take_time`]).
 #[derive(Debug, Clone, Copy, Default, PartialEq)]

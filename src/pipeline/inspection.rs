@@ -218,9 +218,8 @@ fn static_people(session: &Session) -> Option<Finding> {
 /// stand apart do not move.
 fn spread(view: &View) -> Option<f64> {
     let height = median(&mut view.frames.iter().flatten().filter_map(height_px).collect::<Vec<_>>())?;
-    let seen: Vec<Vec<Vector2<f64>>> =
-        view.frames.iter().map(|people| people.iter().filter_map(middle).collect()).collect();
-    let seen: Vec<&Vec<Vector2<f64>>> = seen.iter().filter(|people| !people.is_empty()).collect();
+    let middles = view.frames.iter().map(|people| people.iter().filter_map(middle).collect::<Vec<_>>());
+    let seen: Vec<Vec<Vector2<f64>>> = middles.filter(|people| !people.is_empty()).collect();
     let compared: Vec<_> = seen.iter().step_by(seen.len().div_ceil(MAX_COMPARED).max(1)).collect();
     let mut distances = Vec::new();
     for (i, people) in compared.iter().enumerate() {

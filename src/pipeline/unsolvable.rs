@@ -1,5 +1,6 @@
 //! Why cameras cannot be placed: the first stage that found nothing, what it measured, and the remedy.
 
+use super::camera_clock::MAX_OFFSET_SECS;
 use super::capture::Capture;
 use super::error::PipelineError;
 use crate::matching::pair_hypotheses::HypothesisConfig;
@@ -73,13 +74,13 @@ impl CameraEvidence {
         if *overlapping == 0 {
             return format!(
                 "comparing pairs of cameras: in none of {pairs} camera pairs do both see a person in the same {needed} frames; check \
-                 that frame numbers of all cameras count the same time (option sync: estimate finds offsets up to 10 s)"
+                 that frame numbers of all cameras count the same time (option sync: estimate finds offsets up to {MAX_OFFSET_SECS} s)"
             );
         }
         format!(
             "comparing pairs of cameras: {overlapping} of {pairs} camera pairs see a person in the same {needed} frames, but \
              {placed} cameras fit together; check that the cameras overlap, that frames are synchronised (option sync: estimate \
-             finds offsets up to 10 s) and that the intrinsics belong to these images (option intrinsics: refine_focal)"
+             finds offsets up to {MAX_OFFSET_SECS} s) and that the intrinsics belong to these images (option intrinsics: refine_focal)"
         )
     }
 }

@@ -1,6 +1,7 @@
 //! Single cameras: files that need another reading, exchanged labels.
 
 use super::solved::Solved;
+use super::start_times;
 use crate::matching::tracklets::Tracklet;
 use crate::optim::robust::median;
 use crate::pipeline::config::Sync;
@@ -135,13 +136,12 @@ fn of_reading(solved: &Solved, view: usize, given: Judged, best: Judged) -> Opti
         }
         Reading::Late(frames) => {
             let is_estimated = solved.given.options.sync == Sync::Estimate;
-            option = (!is_estimated).then(|| r#"{"sync": "estimate"}"#.to_owned());
+            option = start_times::suggested_option().filter(|_| !is_estimated);
             let remedy = match is_estimated {
                 true => "give its time_offset in the session, or files that begin at the time of the others'",
-                false => "let the time offsets be estimated",
+                false => start_times::REMEDY,
             };
-            let direction = if frames > 0 { "lower" } else { "higher" };
-            let reading = format!("frame numbers that are {} {direction}", frames.abs());
+            let reading = format!("frame numbers that are {}", start_times::change(frames));
             (Code::TimeOffset, reading, remedy)
         }
         Reading::FocalFactor(factor) => {

@@ -4,6 +4,7 @@ use super::distortion::other_distortions;
 use super::free_adjustment::FreeAdjustment;
 use super::lenses::{EXCHANGE, lies_within, misplaced_lenses};
 use super::solved::Solved;
+use super::start_times::time_offset;
 use crate::optim::robust::median;
 use crate::pipeline::calibration::Adjusted;
 use crate::pipeline::camera_clock::rate_of_drift;
@@ -71,9 +72,7 @@ fn of_delay(solved: &Solved, delay: &Delay) -> Suspicion {
 }
 
 fn of_clock(solved: &Solved, view: usize, evidence: String) -> Suspicion {
-    let remedy = "let the time offsets be estimated";
-    let suggested_option = Some(r#"{"sync": "estimate"}"#.to_owned());
-    Suspicion { suggested_option, ..Suspicion::new(Code::TimeOffset, solved.ids(&[view]), evidence, remedy) }
+    time_offset(solved.ids(&[view]), evidence)
 }
 
 /// Cameras whose clocks run at another rate than those of most others: delays at the end of the recording against those in its middle.

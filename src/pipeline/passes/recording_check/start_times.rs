@@ -6,6 +6,25 @@ use crate::pipeline::stages::time_offsets::whole_frames::{Apart, whole_offsets};
 use crate::progress::{Canceled, Progress};
 use crate::session::{Session, Suspicion, SuspicionCode as Code};
 
+/// What helps against offsets in time.
+pub(super) const REMEDY: &str = "let the time offsets be estimated";
+
+/// The option that applies [`REMEDY`].
+pub(super) fn suggested_option() -> Option<String> {
+    Some(r#"{"sync": "estimate"}"#.to_owned())
+}
+
+/// Cameras that were started at another time; the recording as a whole without any.
+pub(super) fn time_offset(cameras: Vec<String>, evidence: impl Into<String>) -> Suspicion {
+    let suspicion = Suspicion::new(Code::TimeOffset, cameras, evidence, REMEDY);
+    Suspicion { suggested_option: suggested_option(), ..suspicion }
+}
+
+/// How frame numbers that are `frames` too high are to be changed.
+pub(super) fn change(frames: i64) -> String {
+    format!("{} {}", frames.abs(), if frames > 0 { "lower" } else { "higher" })
+}
+
 /// Cameras whose people agree with those of the others at other frame numbers than given.
 pub(super) fn late_cameras(given: &Capture, progress: &Progress) -> Result<Option<Suspicion>, Canceled> {
     let Capture { session, options, .. } = *given;
@@ -19,17 +38,12 @@ pub(super) fn late_cameras(given: &Capture, progress: &Progress) -> Result<Optio
 
 fn of_cameras(session: &Session, Apart { late, agreement: [before, after] }: &Apart) -> Suspicion {
     let ids: Vec<String> = late.iter().map(|&(view, _)| session.views[view].id.clone()).collect();
-    let changes = late
-        .iter()
-        .zip(&ids)
-        .map(|((_, frames), id)| format!("{} {} in {id}", frames.abs(), if *frames > 0 { "lower" } else { "higher" }));
+    let changes = late.iter().zip(&ids).map(|(&(_, frames), id)| format!("{} in {id}", change(frames)));
     let evidence = format!(
         "the cameras agree with the others to {:.0} %, but to {:.0} % with frame numbers that are {}",
         100.0 * before,
         100.0 * after,
         changes.collect::<Vec<_>>().join(", ")
     );
-    let suggested_option = Some(r#"{"sync": "estimate"}"#.to_owned());
-    let remedy = "let the time offsets be estimated";
-    Suspicion { suggested_option, ..Suspicion::new(Code::TimeOffset, ids, evidence, remedy) }
+    time_offset(ids, evidence)
 }

@@ -2,6 +2,7 @@
 
 use super::cameras::MOST;
 use super::solved::Solved;
+use super::start_times::time_offset;
 use crate::pipeline::capture::Capture;
 use crate::pipeline::config::{IntrinsicsMode, Options, Sync};
 use crate::pipeline::passes::cameras::{FinalAdjustment, first_arrangement};
@@ -99,15 +100,8 @@ fn readings(given: &Capture) -> Vec<Reading> {
         [(code, evidence, remedy), labels]
             .map(|(code, evidence, remedy)| Suspicion::new(code, vec![view.id.clone()], evidence, remedy))
     });
-    let of_time = (options.sync == Sync::Given).then(|| Suspicion {
-        suggested_option: Some(r#"{"sync": "estimate"}"#.to_owned()),
-        ..Suspicion::new(
-            Code::TimeOffset,
-            Vec::new(),
-            "the cameras did not start at the same time",
-            "let the time offsets be estimated",
-        )
-    });
+    let of_time =
+        (options.sync == Sync::Given).then(|| time_offset(Vec::new(), "the cameras did not start at the same time"));
     let read = |suspicion: Suspicion| {
         let (session, options) = repaired(session, options, &suspicion)?;
         Some(Reading { suspicion, session, options })

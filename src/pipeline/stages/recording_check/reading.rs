@@ -11,6 +11,7 @@ use crate::estimation::pnp::estimate_pose;
 use crate::geometry::Rigid;
 use crate::matching::normalized::{NormalizedDetection, NormalizedView};
 use crate::matching::tracklets::Tracklet;
+use crate::pipeline::camera_clock::MAX_OFFSET_SECS;
 use crate::session::{Detection, JointTrajectory, Session, View};
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
@@ -35,10 +36,9 @@ use Reading as R;
 /// Focal lengths that are tried: a tolerance of ten per cent reaches from one to the next.
 const FOCAL_FACTORS: [f64; 8] = [0.5, 0.6, 0.7, 0.83, 1.2, 1.4, 1.67, 2.0];
 
-/// Delays that are tried, s: of cameras that were started together, and of those started by hand where no other reading explains
-/// [`EXPLAINS`]; and the spacing of their search, in which people move less than a keypoint's tolerance.
+/// Delays that are tried first, s: of cameras that were started together; longer ones where no other reading explains [`EXPLAINS`]. And
+/// the spacing of their search, in which people move less than a keypoint's tolerance.
 const NEAR_SECS: f64 = 0.5;
-const FAR_SECS: f64 = 10.0;
 const STEP_SECS: f64 = 0.1;
 const EXPLAINS: f64 = 0.6;
 
@@ -85,23 +85,23 @@ pub struct Question<'a> {
 impl Question<'_> {
     /// The files as they are, the best of the other readings, and the best of the factors on the focal length.
     pub fn judged(&self) -> [Judged; 3] {
-        let [given, mirrored, exchanged] =
-            [R::AsGiven, R::Mirrored, R::LabelsExchanged].map(|reading| self.under(reading));
+        let view = read(self.session, self.view, R::AsGiven);
+        let given = self.judged_under(&view, R::AsGiven);
+        let [mirrored, exchanged] = [R::Mirrored, R::LabelsExchanged].map(|reading| self.under(reading));
         let frames = |secs: f64| ((secs * self.session.fps) as i64).min(self.session.n_frames as i64 / 2);
-        let near = self.latest(0, frames(NEAR_SECS));
+        let near = self.latest(&view, 0, frames(NEAR_SECS));
         let mut other = best([mirrored, exchanged, near]);
         if best([given, other]).explained < EXPLAINS {
-            other = best([other, self.latest(frames(NEAR_SECS), frames(FAR_SECS))]);
+            other = best([other, self.latest(&view, frames(NEAR_SECS), frames(MAX_OFFSET_SECS))]);
         }
         [given, other, best(FOCAL_FACTORS.map(|factor| self.under(R::FocalFactor(factor))))]
     }
 
     /// The best delay of more than `least` and up to `most` frames, either way.
-    fn latest(&self, least: i64, most: i64) -> Judged {
-        let view = read(self.session, self.view, R::AsGiven);
+    fn latest(&self, view: &NormalizedView, least: i64, most: i64) -> Judged {
         let step = ((STEP_SECS * self.session.fps) as i64).max(1);
         let under = |frames: Vec<i64>| {
-            let judged: Vec<Judged> = frames.into_par_iter().map(|n| self.judged_under(&view, R::Late(n))).collect();
+            let judged: Vec<Judged> = frames.into_par_iter().map(|n| self.judged_under(view, R::Late(n))).collect();
             best(judged)
         };
         let coarse = (least + 1..=most).step_by(step as usize).flat_map(|n| [n, -n]).collect();

@@ -10,15 +10,13 @@ use crate::matching::normalized::NormalizedView;
 use crate::matching::pair_hypotheses::{CameraPair, HypothesisConfig, mix, pair_hypotheses};
 use crate::matching::pair_score::{PairObservations, score_pair};
 use crate::matching::tracklets::Tracklet;
+use crate::pipeline::camera_clock::MAX_OFFSET_SECS;
 use crate::pipeline::capture::Capture;
 use crate::progress::{Canceled, Progress};
 use rayon::prelude::*;
 
 /// Largest offset between two cameras that were started together, s: half as much from a common time either way.
 const NEAR_SECS: f64 = 1.25;
-
-/// Largest offset of a camera that was started by hand, s. Texts of `unsolvable` name it.
-const FAR_SECS: f64 = 10.0;
 
 /// A pair of cameras agrees with this quality, and with this share of the best pair's: right ones have 0.4 to 0.8, chance 0.1 to 0.25,
 /// and up to 0.45 where a single person repeats a movement.
@@ -130,7 +128,7 @@ impl PairScores {
 pub fn whole_offsets(capture: &Capture, progress: &Progress) -> Result<WholeOffsets, Canceled> {
     let n_views = capture.views.len();
     let followed = capture.tracklets();
-    let [near, far] = [NEAR_SECS, FAR_SECS].map(|secs| reach(capture, secs));
+    let [near, far] = [NEAR_SECS, MAX_OFFSET_SECS].map(|secs| reach(capture, secs));
     let compared = |pairs: Vec<[usize; 2]>, reach: i64| compared(capture, &followed, pairs, reach, progress);
 
     let mut pairs = compared(neighbours(n_views), near)?;
