@@ -88,6 +88,7 @@ pub const MISTAKES: &[Mistake] = &[
     all("people detected twice", &[Code::DoubleDetections], |s| Some(doubled(s))),
     odd("7 frames late", &[Code::TimeOffset], |s| late(s, ODD, 7)),
     odd("2 frames late", &[Code::TimeOffset], |s| late(s, ODD, 2)),
+    odd("2 s late", &[Code::TimeOffset], |s| late(s, ODD, (2.0 * s.fps).round() as usize)),
     odd("clock 2 % slow", &[Code::TimeOffset], |s| slowed(s, ODD, 0.02)),
     odd("2 frames dropped halfway", &[Code::DroppedFrames], |s| dropped(s, ODD, 2)),
     two("keypoints of two cameras exchanged", &[Code::CamerasExchanged], exchanged),

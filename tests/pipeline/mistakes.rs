@@ -71,6 +71,14 @@ fn too_few_people_were_blamed_on_cameras() {
     assert_eq!(suspected(&session, &options(2)), []);
 }
 
+/// Offsets were searched up to 1.25 s, so that such a camera was said to be from another take.
+#[test]
+fn a_camera_started_late_was_of_another_take() {
+    let right = session(5);
+    let wrong = with_mistake(&right, "2 s late");
+    assert_eq!(suspected(&wrong, &Options::default()), [(Code::TimeOffset, ids(&right, &[1]))]);
+}
+
 /// Two cameras found a compromise that explained four fifths of the keypoints, with limbs 215 mm off.
 #[test]
 fn exchanged_labels_of_one_of_two_cameras_passed() {

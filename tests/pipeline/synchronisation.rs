@@ -11,20 +11,20 @@ use wandless::simulation::{Preset, SimulationConfig, simulate};
 /// A view's offset, frames.
 const OFFSETS: [f64; 4] = [0.0, 11.0, -14.0, 6.3];
 
-fn recording() -> SimulationConfig {
+fn recording(offsets: [f64; 4]) -> SimulationConfig {
     SimulationConfig {
         views: 4,
         frames: 240,
         seed: 3,
-        time_offsets: OFFSETS.to_vec(),
+        time_offsets: offsets.to_vec(),
         ..SimulationConfig::preset(Preset::Easy)
     }
 }
 
 /// Estimates less true offsets, frames; the mean over all cameras is arbitrary.
-fn errors(found: &Reconstruction, fps: f64) -> Vec<f64> {
+fn errors(found: &Reconstruction, offsets: [f64; 4], fps: f64) -> Vec<f64> {
     let estimates = found.cameras.iter().map(|camera| camera.time_offset.unwrap().secs * fps);
-    let errors: Vec<f64> = estimates.zip(OFFSETS).map(|(estimate, offset)| estimate - offset).collect();
+    let errors: Vec<f64> = estimates.zip(offsets).map(|(estimate, offset)| estimate - offset).collect();
     let shared = errors.iter().sum::<f64>() / errors.len() as f64;
     errors.into_iter().map(|error| error - shared).collect()
 }
@@ -32,11 +32,11 @@ fn errors(found: &Reconstruction, fps: f64) -> Vec<f64> {
 /// Offsets of whole and fractional frames.
 #[test]
 fn offsets_are_accurate_to_a_twentieth_of_a_frame() {
-    let config = recording();
+    let config = recording(OFFSETS);
     let simulated = simulate(&config).unwrap();
     let options = Options { sync: Sync::Estimate, ..Options::default() };
     let found = reconstruct(&simulated.session, &options, &Progress::silent()).unwrap();
-    for (error, camera) in errors(&found, config.fps).iter().zip(&found.cameras) {
+    for (error, camera) in errors(&found, OFFSETS, config.fps).iter().zip(&found.cameras) {
         assert!(error.abs() < 0.05, "{error}");
         let sigma = camera.time_offset.unwrap().sigma_secs.unwrap();
         assert!(sigma * config.fps < 0.1, "{sigma}");
@@ -54,6 +54,20 @@ fn offsets_are_accurate_to_a_twentieth_of_a_frame() {
     assert!(n > 1000 && wrong_or_right as f64 > 0.98 * n as f64, "{wrong_or_right} of {n}");
 }
 
+/// Cameras started by hand, one after the other: few of them, or none, fit together before the repair.
+#[test]
+fn offsets_of_seconds_are_named_and_estimated() {
+    let offsets = [0.0, 55.0, -40.0, 6.0];
+    let config = recording(offsets);
+    let session = simulate(&config).unwrap().session;
+    let options = Options { repair: Repair::Auto, ..Options::default() };
+    let found = reconstruct(&session, &options, &Progress::silent()).unwrap();
+    let named = &found.report.suspicions;
+    assert!(!named.is_empty() && named.iter().all(|s| s.code == Code::TimeOffset && s.applied), "{named:?}");
+    let errors = errors(&found, offsets, config.fps);
+    assert!(errors.iter().all(|error| error.abs() < 0.05), "{errors:?}");
+}
+
 /// Held to focal lengths 20 % too long, offsets of this recording came out 0.13 frames off, others half a frame.
 #[test]
 fn offsets_do_not_follow_wrong_focal_lengths() {
@@ -64,7 +78,7 @@ fn offsets_do_not_follow_wrong_focal_lengths() {
     session.views.iter_mut().for_each(|view| view.intrinsics = view.intrinsics.with_focal_factor(1.2));
     let options = Options { sync: Sync::Estimate, intrinsics: IntrinsicsMode::RefineFocal, ..Options::default() };
     let found = reconstruct(&session, &options, &Progress::silent()).unwrap();
-    let errors = errors(&found, config.fps);
+    let errors = errors(&found, OFFSETS, config.fps);
     assert!(errors.iter().all(|error| error.abs() < 0.07), "{errors:?}");
 }
 

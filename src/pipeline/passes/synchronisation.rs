@@ -51,7 +51,7 @@ pub fn estimated_timing(
     let given = Timing::given(session);
     let start = given.applied_to(session);
     let comparing = steps.begin("comparing cameras at all time offsets");
-    let whole = whole_frames::whole_offsets(&Capture::new(&start, options), &comparing)?;
+    let whole = whole_frames::whole_offsets(&Capture::new(&start, options), &[], &comparing)?;
     let mut clocks = given.clocks(session);
     clocks.iter_mut().zip(&whole.offsets).for_each(|(clock, whole)| clock.offset += *whole as f64);
 

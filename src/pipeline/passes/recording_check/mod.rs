@@ -38,7 +38,7 @@ pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, C
         cameras::other_readings(solved, &mut found, &step)?;
         let has_strangers = groups.len() > 1 || solved.calibration.cameras.contains(&None);
         if found.is_empty() && has_strangers {
-            found.extend(late_cameras(solved.given, &step)?);
+            found.extend(late_cameras(solved.given, &groups, &step)?);
         }
         whole::other_take(solved, &mut found, &step)?;
         if found.is_empty() {

@@ -25,13 +25,17 @@ pub(super) fn change(frames: i64) -> String {
     format!("{} {}", frames.abs(), if frames > 0 { "lower" } else { "higher" })
 }
 
-/// Cameras whose people agree with those of the others at other frame numbers than given.
-pub(super) fn late_cameras(given: &Capture, progress: &Progress) -> Result<Option<Suspicion>, Canceled> {
+/// Cameras whose people agree with those of the others at other frame numbers than given. Those of one group see the same people.
+pub(super) fn late_cameras(
+    given: &Capture,
+    groups: &[Vec<usize>],
+    progress: &Progress,
+) -> Result<Option<Suspicion>, Canceled> {
     let Capture { session, options, .. } = *given;
     if options.sync == Sync::Estimate {
         return Ok(None);
     }
-    let apart = whole_offsets(given, progress)?.apart(session.fps);
+    let apart = whole_offsets(given, groups, progress)?.apart(session.fps);
     tracing::debug!(?apart, "start times of the cameras");
     Ok(apart.map(|apart| of_cameras(session, &apart)))
 }

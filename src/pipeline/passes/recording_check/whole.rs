@@ -27,7 +27,7 @@ pub(super) fn separate_takes(
             found.extend(read_otherwise);
             return Ok(());
         }
-        if let Some(late) = late_cameras(solved.given, progress)? {
+        if let Some(late) = late_cameras(solved.given, groups, progress)? {
             found.push(late);
             return Ok(());
         }

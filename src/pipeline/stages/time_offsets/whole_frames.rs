@@ -124,16 +124,25 @@ impl PairScores {
     }
 }
 
-/// Estimates the offsets: near ones, and far ones between cameras that these leave unconnected.
-pub fn whole_offsets(capture: &Capture, progress: &Progress) -> Result<WholeOffsets, Canceled> {
+/// Estimates the offsets: near ones, and far ones between cameras that these leave unconnected. The cameras of a group in `synchronous`
+/// are compared at offset 0 alone.
+pub fn whole_offsets(
+    capture: &Capture,
+    synchronous: &[Vec<usize>],
+    progress: &Progress,
+) -> Result<WholeOffsets, Canceled> {
     let n_views = capture.views.len();
     let followed = capture.tracklets();
     let [near, far] = [NEAR_SECS, MAX_OFFSET_SECS].map(|secs| reach(capture, secs));
-    let compared = |pairs: Vec<[usize; 2]>, reach: i64| compared(capture, &followed, pairs, reach, progress);
+    let given_groups = group_of_view(n_views, synchronous);
+    let compared = |pairs: Vec<[usize; 2]>, reach: i64| {
+        let reach_of = |[a, b]: [usize; 2]| if given_groups[a] == given_groups[b] { 0 } else { reach };
+        compared(capture, &followed, pairs, reach_of, progress)
+    };
 
     let mut pairs = compared(neighbours(n_views), near)?;
     let mut offsets = reconciled(n_views, near, &pairs);
-    let groups = agreeing(&pairs, &offsets);
+    let groups = agreeing(&pairs, &offsets, &given_groups);
     let (across, within): (Vec<_>, Vec<_>) = pairs.iter().cloned().partition(|pair| !pair.is_within(&groups));
     if !across.is_empty() && far > near {
         let apart = compared(across.iter().map(|pair| pair.views).collect(), far)?;
@@ -146,6 +155,12 @@ pub fn whole_offsets(capture: &Capture, progress: &Progress) -> Result<WholeOffs
         }
     }
     Ok(WholeOffsets { offsets, pairs })
+}
+
+/// By view the first view of its group; its own index where it is in none.
+fn group_of_view(n_views: usize, groups: &[Vec<usize>]) -> Vec<usize> {
+    let group_of = |view| groups.iter().find(|group| group.contains(&view)).and_then(|group| group.first());
+    (0..n_views).map(|view| group_of(view).copied().unwrap_or(view)).collect()
 }
 
 /// Largest offset that is tried, frames: at least half of the recording is in common.
@@ -163,13 +178,13 @@ fn compared(
     capture: &Capture,
     followed: &[Vec<Tracklet>],
     pairs: Vec<[usize; 2]>,
-    reach: i64,
+    reach_of: impl Fn([usize; 2]) -> i64 + Sync,
     progress: &Progress,
 ) -> Result<Vec<PairScores>, Canceled> {
     let step = grid_step(capture.session.fps);
     let of_pair = |views: [usize; 2]| {
         let score = |offset| progress.check().map(|()| quality(capture, followed, views, offset));
-        Ok(PairScores { views, scores: pair_scores(reach, step, score)? })
+        Ok(PairScores { views, scores: pair_scores(reach_of(views), step, score)? })
     };
     pairs.into_par_iter().map(of_pair).collect()
 }
@@ -185,10 +200,10 @@ fn grid_step(fps: f64) -> i64 {
     ((STEP_SECS * fps).round() as i64).max(1)
 }
 
-/// By view its group: cameras that are connected by pairs which agree at these offsets.
-fn agreeing(pairs: &[PairScores], offsets: &[i64]) -> Vec<usize> {
+/// By view its group: the given ones, joined where pairs agree at these offsets.
+fn agreeing(pairs: &[PairScores], offsets: &[i64], given: &[usize]) -> Vec<usize> {
     let best = pairs.iter().map(|pair| pair.quality(offsets)).fold(0.0, f64::max);
-    let mut groups: Vec<usize> = (0..offsets.len()).collect();
+    let mut groups = given.to_vec();
     for pair in pairs.iter().filter(|pair| pair.quality(offsets) >= AGREES.max(AGREES_SHARE * best)) {
         let [joined, into] = pair.views.map(|v| groups[v]);
         groups.iter_mut().filter(|group| **group == joined).for_each(|group| *group = into);
