@@ -4,6 +4,7 @@ use super::bad_input::BadInput;
 use crate::pipeline::Options;
 use crate::pipeline::option_reference::{paragraph, value_name};
 use crate::pipeline::option_table::{Field, Form, Kind, OPTION_TABLE, OptionRow};
+use crate::session::json_errors::in_json_words;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Arg, ArgMatches, Command, FromArgMatches};
 use serde_json::{Map, Value, json};
@@ -36,7 +37,7 @@ impl OptionArgs {
         options.extend(self.flags.0.clone());
         let place = self.options.as_ref().map_or_else(|| "options".to_owned(), |file| file.display().to_string());
         let refused = |error: serde_json::Error| {
-            BadInput(format!("{place}: {error}; `wandless options` lists names, types and ranges"))
+            BadInput(format!("{place}: {}; `wandless options` lists names, types and ranges", in_json_words(&error)))
         };
         Ok(serde_json::from_value(Value::Object(options)).map_err(refused)?)
     }
@@ -50,7 +51,7 @@ impl OptionArgs {
 fn read_object(file: &Path) -> Result<Map<String, Value>, BadInput> {
     let bad = |reason: String| BadInput(format!("{}: {reason}; give a JSON object of options", file.display()));
     let text = std::fs::read(file).map_err(|error| bad(error.to_string()))?;
-    serde_json::from_slice(&text).map_err(|error| bad(error.to_string()))
+    serde_json::from_slice(&text).map_err(|error| bad(in_json_words(&error)))
 }
 
 impl clap::Args for OptionFlags {

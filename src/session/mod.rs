@@ -5,6 +5,7 @@ mod border_keypoints;
 mod builder;
 pub mod digest;
 pub mod formats;
+pub(crate) mod json_errors;
 pub mod json_file;
 pub mod people;
 pub mod reconstruction;

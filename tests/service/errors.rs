@@ -86,6 +86,20 @@ fn rejects_impossible_jobs_with_a_pointer() {
     let many = ask(json!({ "session": session, "labels": labels })).expect_problem(400, "malformed");
     assert_eq!(many["pointer"], "/labels");
 
+    for (member, value, pointer, expected) in [
+        ("priority", json!("high"), "/priority", "a whole number"),
+        ("labels", json!({ "take": 7 }), "/labels/take", "a string"),
+        ("webhook", json!({ "url": 7 }), "/webhook", "a string"),
+        ("session", json!(7), "/session", "a string"),
+    ] {
+        let mut body = json!({ "session": session });
+        body[member] = value;
+        let problem = ask(body).expect_problem(400, "malformed");
+        assert_eq!(problem["pointer"], pointer, "{problem}");
+        let detail = problem["detail"].as_str().unwrap();
+        assert!(detail.contains(&format!("expected {expected}")), "types of the program were named: {detail}");
+    }
+
     for (asked, status, code, pointer) in [
         (json!({ "sede": 1 }), 400, "option_unknown", "/options/sede"),
         (json!({ "seed": "one" }), 400, "option_malformed", "/options/seed"),

@@ -4,10 +4,12 @@ use super::error::Problem;
 use crate::service::failpoint::fault;
 use crate::service::settings::RequestLimits;
 use crate::service::store::folders::TemporaryFile;
+use crate::session::json_errors::{in_json_words, pointer_step};
 use axum::body::{Body, Bytes};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use http_body_util::BodyExt;
 use serde::de::DeserializeOwned;
+use serde_path_to_error::Segment;
 use sha2::{Digest, Sha256};
 use std::time::Duration;
 use tokio::io::AsyncWriteExt;
@@ -115,7 +117,24 @@ pub(super) fn object<T: DeserializeOwned>(text: &[u8], remedy: &str) -> Result<T
     if text.trim_ascii_start().first().is_some_and(|first| *first != b'{') {
         return Err(Problem::malformed("the body is not a JSON object", remedy));
     }
-    serde_json::from_slice(text).map_err(|error| Problem::malformed(format!("the body: {error}"), remedy))
+    let mut parser = serde_json::Deserializer::from_slice(text);
+    let read = serde_path_to_error::deserialize(&mut parser).map_err(|error| {
+        let pointer = pointer(error.path());
+        let problem = Problem::malformed(format!("the body: {}", in_json_words(error.inner())), remedy);
+        if pointer.is_empty() { problem } else { problem.at(pointer) }
+    })?;
+    parser.end().map_err(|error| Problem::malformed(format!("the body: {error}"), remedy))?;
+    Ok(read)
+}
+
+/// JSON pointer (RFC 6901) of a value; empty for the document.
+fn pointer(path: &serde_path_to_error::Path) -> String {
+    let step = |segment: &Segment| match segment {
+        Segment::Seq { index } => format!("/{index}"),
+        Segment::Map { key } | Segment::Enum { variant: key } => pointer_step(key),
+        Segment::Unknown => String::new(),
+    };
+    path.iter().map(step).collect()
 }
 
 /// A refused body and its problem; the answer is sent after some of the rest was read.

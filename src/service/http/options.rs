@@ -4,6 +4,7 @@ use super::error::Problem;
 use crate::pipeline::option_table::OptionRow;
 use crate::pipeline::{CameraFacts, Options, PipelineError};
 use crate::service::bodies;
+use crate::session::json_errors::{in_json_words, pointer_step};
 use axum::http::StatusCode;
 use serde_json::{Map, Value};
 use std::path::Path;
@@ -16,7 +17,7 @@ pub(super) fn parse(options: Option<Value>) -> Result<Options, Problem> {
     };
     serde_json::from_value(options.clone()).map_err(|error| {
         find_bad_option(map).unwrap_or_else(|| {
-            Problem::malformed(format!("options: {error}"), "see the list of options").at("/options")
+            Problem::malformed(format!("options: {}", in_json_words(&error)), "see the list of options").at("/options")
         })
     })
 }
@@ -26,7 +27,7 @@ fn find_bad_option(options: &Map<String, Value>) -> Option<Problem> {
     options.iter().find_map(|(key, value)| {
         let alone = Value::Object(Map::from_iter([(key.clone(), value.clone())]));
         let error = serde_json::from_value::<Options>(alone).err()?;
-        let pointer = format!("/options/{}", key.replace('~', "~0").replace('/', "~1"));
+        let pointer = format!("/options{}", pointer_step(key));
         let (code, remedy) = match OptionRow::named(key) {
             None => ("option_unknown", "remove it".to_owned()),
             Some(OptionRow { kind, .. }) if kind.range().is_empty() => {
@@ -36,7 +37,10 @@ fn find_bad_option(options: &Map<String, Value>) -> Option<Problem> {
                 ("option_malformed", format!("send a value of the type {} ({})", kind.name(), kind.range()))
             }
         };
-        Some(Problem::new(StatusCode::BAD_REQUEST, code, format!("options: {error}"), remedy).at(pointer))
+        Some(
+            Problem::new(StatusCode::BAD_REQUEST, code, format!("options: {}", in_json_words(&error)), remedy)
+                .at(pointer),
+        )
     })
 }
 

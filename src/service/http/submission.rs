@@ -15,6 +15,7 @@ use crate::service::queue::{EnqueueError, IdempotencyKey, NewJob, QueueLimits, f
 use crate::service::store::Tenant;
 use crate::service::store::sessions::{self, AddError, SessionSummary, StoredSession};
 use crate::service::webhooks;
+use crate::session::json_errors::in_json_words;
 use axum::Extension;
 use axum::body::Body;
 use axum::extract::State;
@@ -264,7 +265,8 @@ async fn of_uploaded_session(
         .ok_or_else(|| Problem::malformed("the form has no part `session`", "add the session as the part `session`"))?;
     let text = form.options.filter(|text| !text.is_empty());
     let options = text.map(|text| serde_json::from_slice(&text)).transpose().map_err(|error| {
-        Problem::malformed(format!("the part `options`: {error}"), "send one JSON object").at("/options")
+        Problem::malformed(format!("the part `options`: {}", in_json_words(&error)), "send one JSON object")
+            .at("/options")
     })?;
     options::parse(options.clone())?; // before the upload is validated and stored
     let session = keep(app, tenant, received).await?.session;

@@ -8,6 +8,7 @@ use super::error::{Fault, UploadError, shown};
 use super::guard::JsonGuard;
 use super::limits::UploadLimits;
 use super::warnings::Warnings;
+use crate::session::json_errors::{in_json_words, pointer_step};
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde::de::{
@@ -29,7 +30,7 @@ pub(crate) struct Reading<'a> {
     /// Number of keypoints counted against `max_keypoints`.
     n_keypoints: usize,
     failure: Option<UploadError>,
-    /// Parts of the JSON pointer, innermost first, collected while an error propagates outwards.
+    /// Steps of the JSON pointer, innermost first, collected while an error propagates outwards.
     pointer: Vec<String>,
 }
 
@@ -123,7 +124,7 @@ impl<'a> Reading<'a> {
 
     /// The typed error behind a parser's error.
     fn explain(&mut self, error: serde_json::Error) -> UploadError {
-        let pointer = self.pointer.drain(..).rev().map(|part| format!("/{part}")).collect::<String>();
+        let pointer = self.pointer.drain(..).rev().collect::<String>();
         let error = match self.failure.take() {
             Some(failure) => failure,
             None => self.place.of(fault_of_parser(error)),
@@ -133,7 +134,7 @@ impl<'a> Reading<'a> {
 }
 
 fn fault_of_parser(error: serde_json::Error) -> UploadError {
-    let text = error.to_string();
+    let text = in_json_words(&error);
     // The parser quotes the value, which may have any length.
     let detail = if text.chars().count() > 200 { shown(&text) } else { text };
     match error.classify() {
@@ -249,7 +250,7 @@ impl<'de, F: Fields> Visitor<'de> for Object<'_, '_, '_, F> {
                     reading.warnings.unknown_key(file, F::WHAT, &key);
                 }
                 Err(error) => {
-                    reading.pointer.push(key.replace('~', "~0").replace('/', "~1"));
+                    reading.pointer.push(pointer_step(&key));
                     return Err(error);
                 }
             }
@@ -279,7 +280,7 @@ impl<'de, I: Items> Visitor<'de> for List<'_, '_, '_, I> {
                 Ok(true) => {}
                 Ok(false) => break,
                 Err(error) => {
-                    reading.pointer.push(index.to_string());
+                    reading.pointer.push(format!("/{index}"));
                     return Err(error);
                 }
             }
