@@ -1,13 +1,13 @@
 //! `wandless mcp`: a server of the Model Context Protocol over stdio, so that agents use the job API of a service.
 //!
-//! A line of stdin is a JSON-RPC 2.0 message, a line of stdout an answer. One call is worked on at a time; logs go to stderr.
+//! A line of stdin is a JSON-RPC 2.0 message or a list of such (a batch), a line of stdout an answer or the list of answers. One call is worked on at a time; logs go to stderr.
 
 mod jobs;
 mod messages;
 mod tools;
 
 use super::client::{Client, server_url};
-use messages::{Answer, INVALID_PARAMS, METHOD_NOT_FOUND, PARSE_ERROR, Request, read_request};
+use messages::{Answer, INVALID_PARAMS, METHOD_NOT_FOUND, PARSE_ERROR, Request};
 use serde_json::{Value, json};
 use std::io::{self, BufRead, Write};
 use tools::{TOOLS, call};
@@ -48,16 +48,32 @@ fn serve(client: &Client, lines: impl BufRead, mut out: impl Write) -> io::Resul
         if line.trim_ascii().is_empty() {
             continue;
         }
-        let answer = match read_request(&line) {
-            Ok(request) => answer(client, &request, &mut out)?,
-            Err(error) => Some(Answer::failure(&Value::Null, PARSE_ERROR, error)),
-        };
-        if let Some(answer) = answer {
-            writeln!(out, "{}", answer.0)?;
+        if let Some(answer) = answer_to_line(client, &line, &mut out)? {
+            writeln!(out, "{answer}")?;
             out.flush()?;
         }
     }
     Ok(())
+}
+
+/// The answer to a message, or those to the messages of a batch; `None` where all are notifications.
+fn answer_to_line(client: &Client, line: &[u8], out: &mut impl Write) -> io::Result<Option<Value>> {
+    let mut answered = |message: Value| match Request::read(message) {
+        Ok(request) => answer(client, &request, out),
+        Err(refused) => Ok(Some(refused)),
+    };
+    match serde_json::from_slice(line) {
+        Ok(Value::Array(batch)) if !batch.is_empty() => {
+            let answers = batch.into_iter().filter_map(|message| answered(message).transpose());
+            let answers = answers.map(|answer| answer.map(|answer| answer.0)).collect::<io::Result<Vec<Value>>>()?;
+            Ok((!answers.is_empty()).then_some(Value::Array(answers)))
+        }
+        Ok(message) => Ok(answered(message)?.map(|answer| answer.0)),
+        Err(error) => {
+            let reason = format!("the line is not a message of JSON-RPC 2.0: {error}");
+            Ok(Some(Answer::failure(&Value::Null, PARSE_ERROR, reason).0))
+        }
+    }
 }
 
 /// The answer to a message; `None` for a notification.
@@ -97,12 +113,12 @@ fn initialized(params: &Value) -> Value {
 
 #[cfg(test)]
 mod tests {
+    use super::messages::INVALID_REQUEST;
     use super::*;
 
     fn answered(message: &str) -> Option<Value> {
         let client = Client::new("http://127.0.0.1:9", None);
-        let mut out = Vec::new();
-        answer(&client, &read_request(message.as_bytes()).unwrap(), &mut out).unwrap().map(|answer| answer.0)
+        answer_to_line(&client, message.as_bytes(), &mut Vec::new()).unwrap()
     }
 
     #[test]
@@ -121,7 +137,30 @@ mod tests {
         assert_eq!(answered(r#"{"jsonrpc": "2.0", "method": "notifications/initialized"}"#), None);
         let unknown = answered(r#"{"jsonrpc": "2.0", "id": "a", "method": "resources/list"}"#).unwrap();
         assert_eq!((&unknown["id"], &unknown["error"]["code"]), (&json!("a"), &json!(METHOD_NOT_FOUND)));
-        assert!(read_request(b"{").is_err());
+    }
+
+    #[test]
+    fn what_is_not_a_request_has_its_own_error() {
+        let code = |message: &str| answered(message).unwrap()["error"]["code"].as_i64();
+        assert_eq!(code("{"), Some(PARSE_ERROR));
+        for message in ["[]", "7", r#"{"id": 1}"#, r#"{"id": 1, "method": 7}"#] {
+            assert_eq!(code(message), Some(INVALID_REQUEST), "{message}");
+        }
+        let named = answered(r#"{"id": 1, "method": 7}"#).unwrap();
+        assert_eq!(named["id"], 1);
+        assert!(named["error"]["message"].as_str().unwrap().ends_with("expected a string"), "{named}");
+    }
+
+    /// The version of March 2025 allows them; they were taken for the fields of one request.
+    #[test]
+    fn batches_are_answered_together() {
+        let ping = |id: u32| json!({ "jsonrpc": "2.0", "id": id, "method": "ping" });
+        let notification = json!({ "jsonrpc": "2.0", "method": "notifications/initialized" });
+        let answers = answered(&json!([ping(1), notification, ["ping"], ping(2)]).to_string()).unwrap();
+        let ids: Vec<&Value> = answers.as_array().unwrap().iter().map(|answer| &answer["id"]).collect();
+        assert_eq!(ids, [&json!(1), &Value::Null, &json!(2)]);
+        assert_eq!(answers[1]["error"]["code"], INVALID_REQUEST);
+        assert_eq!(answered(&json!([notification]).to_string()), None);
     }
 
     #[test]

@@ -124,8 +124,8 @@ fn value_of(row: &OptionRow, matches: &ArgMatches) -> Option<Value> {
 /// The list in a JSON file.
 fn list_in(file: &Path) -> Result<Value, String> {
     let text = std::fs::read(file).map_err(|error| error.to_string())?;
-    let list: Vec<Value> =
-        serde_json::from_slice(&text).map_err(|error| format!("{error}; expected a JSON list of objects"))?;
+    let list: Vec<Value> = serde_json::from_slice(&text)
+        .map_err(|error| format!("{}; expected a JSON list of objects", in_json_words(&error)))?;
     Ok(list.into())
 }
 

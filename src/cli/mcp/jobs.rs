@@ -6,7 +6,7 @@ use crate::cli::output_folder::require_free;
 use crate::cli::submit;
 use crate::pipeline::Options;
 use crate::pipeline::option_reference::options_document;
-use anyhow::Context;
+use crate::session::json_errors::in_json_words;
 use serde_json::{Map, Value, json};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -21,8 +21,10 @@ type Arguments = Map<String, Value>;
 
 pub(super) fn submit(client: &Client, arguments: &Arguments, progress: Progress) -> anyhow::Result<Value> {
     let options = arguments.get("options").cloned().unwrap_or_else(|| json!({}));
-    let options: Options =
-        serde_json::from_value(options).context("the options are refused; list_options describes them")?;
+    let refused = |error: serde_json::Error| {
+        anyhow::anyhow!("the options are refused: {}; list_options describes them", in_json_words(&error))
+    };
+    let options: Options = serde_json::from_value(options).map_err(refused)?;
     progress(0.0, "uploading the session");
     let job = submit::submit_job(client, Path::new(text(arguments, "session")), &options)?;
     Ok(described(&job))

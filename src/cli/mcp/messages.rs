@@ -1,10 +1,13 @@
 //! Messages of JSON-RPC 2.0.
 
+use crate::session::json_errors::in_json_words;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-/// The message is not JSON, or not a request.
+/// The line is not JSON.
 pub(super) const PARSE_ERROR: i64 = -32700;
+/// The message is not a request.
+pub(super) const INVALID_REQUEST: i64 = -32600;
 /// No such method.
 pub(super) const METHOD_NOT_FOUND: i64 = -32601;
 /// The parameters name nothing that exists.
@@ -19,9 +22,19 @@ pub(super) struct Request {
     pub(super) params: Value,
 }
 
-/// Reads one line.
-pub(super) fn read_request(line: &[u8]) -> Result<Request, String> {
-    serde_json::from_slice(line).map_err(|error| format!("the line is not a request of JSON-RPC 2.0: {error}"))
+impl Request {
+    /// The request of a message, or what is wrong with it.
+    pub(super) fn read(message: Value) -> Result<Self, Answer> {
+        let id = message.get("id").cloned().unwrap_or_default();
+        let refused = |why: &str| {
+            let reason = format!("the message is not a request of JSON-RPC 2.0: {why}");
+            Answer::failure(&id, INVALID_REQUEST, reason)
+        };
+        if !message.is_object() {
+            return Err(refused("it is not an object"));
+        }
+        serde_json::from_value(message).map_err(|error| refused(&in_json_words(&error)))
+    }
 }
 
 /// An answer.
