@@ -14,7 +14,7 @@ mod steps;
 mod unsolved;
 mod whole;
 
-use crate::pipeline::stages::recording_check::takes::groups;
+use crate::pipeline::stages::recording_check::takes::{Groups, groups};
 use crate::progress::{Canceled, Progress};
 use crate::session::{Suspicion, SuspicionCode as Code};
 use solved::Solved;
@@ -31,15 +31,12 @@ pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, C
     let mut weighted = progress.steps([1.0, 0.5, 1.0, 0.5]);
     let mut found = Vec::new();
     let step = weighted.begin("reading the files of cameras in other ways");
-    let groups = groups(&solved.people());
-    tracing::debug!(?groups, "cameras that see the same people");
-    whole::separate_takes(solved, &groups, &mut found, &step)?;
+    let Groups { connected, close } = groups(&solved.people());
+    tracing::debug!(?connected, ?close, "cameras that see the same people");
+    whole::separate_takes(solved, &connected, &mut found, &step)?;
     if found.is_empty() {
         cameras::other_readings(solved, &mut found, &step)?;
-        let has_strangers = groups.len() > 1 || solved.calibration.cameras.contains(&None);
-        if found.is_empty() && has_strangers {
-            found.extend(late_cameras(solved.given, &groups, &step)?);
-        }
+        late_strangers(solved, &close, &mut found, &step)?;
         whole::other_take(solved, &mut found, &step)?;
         if found.is_empty() {
             found.extend(unsolved::mistake_of_pair(solved, &step)?);
@@ -65,6 +62,28 @@ pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, C
     whole::too_few_people(solved, &mut found);
     whole::wrong_frame_rate(solved, &mut found);
     Ok(found)
+}
+
+/// Cameras that see other people than those of the largest of `groups`, because they were started at another time; some may be
+/// named already, by what they see.
+fn late_strangers(
+    solved: &Solved,
+    groups: &[Vec<usize>],
+    found: &mut Vec<Suspicion>,
+    progress: &Progress,
+) -> Result<(), Canceled> {
+    let largest = groups.first().map_or(&[][..], Vec::as_slice);
+    let is_stranger = |view: &usize| !largest.contains(view) && !solved.is_named(*view, found);
+    let has_strangers = (0..solved.calibration.cameras.len()).any(|view| is_stranger(&view));
+    let has_other_mistakes = found.iter().any(|suspicion| suspicion.code != Code::TimeOffset);
+    if !has_strangers || has_other_mistakes {
+        return Ok(());
+    }
+    if let Some(late) = late_cameras(solved.given, groups, progress)? {
+        found.retain(|suspicion| !suspicion.cameras.iter().all(|id| late.cameras.contains(id)));
+        found.push(late);
+    }
+    Ok(())
 }
 
 /// A camera that zoomed or was moved: the mean of two poses or focal lengths may look like another shape of its images.

@@ -12,6 +12,8 @@ use rayon::prelude::*;
 /// Two cameras see the same people where this share of the people of one, standing in the image of the other, are seen there too:
 /// right recordings have 0.6 and more, chance alignments of people of two takes 0.05 to 0.1.
 const SHARED: f64 = 0.25;
+/// Cameras that share less may see the same people at another time: with these they shared 0.3 by chance.
+const SHARED_BY_CLOSE: f64 = 0.5;
 /// Fewer people seen in both images may be chance. Where two cameras hardly see the same place, nothing is shown against them either: the
 /// seconds of a runner were two takes while 20 people were needed.
 const MIN_SHARED: usize = 5;
@@ -27,20 +29,38 @@ const MIN_RAY_SINE: f64 = 0.2;
 const OTHER_MOTION: f64 = 1.5;
 
 /// Groups of placed cameras that are not connected by common people, largest first; one group in a right recording.
-pub fn groups(people: &TrackedPeople) -> Vec<Vec<usize>> {
+#[derive(Debug, Clone, PartialEq)]
+pub struct Groups {
+    /// By pairs that see some of the people of each other.
+    pub connected: Vec<Vec<usize>>,
+    /// By pairs that see half of them and more.
+    pub close: Vec<Vec<usize>>,
+}
+
+/// Groups the cameras by the people that they see at the same places and times, and that move alike in them.
+pub fn groups(people: &TrackedPeople) -> Groups {
     let placed: Vec<usize> = (0..people.cameras.len()).filter(|&v| people.cameras[v].is_some()).collect();
     let pairs: Vec<(usize, usize)> =
         placed.iter().enumerate().flat_map(|(i, &a)| placed[..i].iter().map(move |&b| (a, b))).collect();
-    let connected: Vec<(usize, usize)> = pairs.into_par_iter().filter(|&(a, b)| are_connected(people, a, b)).collect();
-    let disagreements: Vec<Option<f64>> = connected.par_iter().map(|&(a, b)| disagreement(people, a, b)).collect();
+    let share = |(a, b)| Some((shared(people, a, b).filter(|share| *share > SHARED)?, (a, b)));
+    let connected: Vec<(f64, (usize, usize))> = pairs.into_par_iter().filter_map(share).collect();
+    let disagreements: Vec<Option<f64>> = connected.par_iter().map(|&(_, (a, b))| disagreement(people, a, b)).collect();
     // Cameras of two takes make up half of the pairs or more: those of one take are among the lowest.
     let usual = quantile(&mut disagreements.iter().flatten().copied().collect::<Vec<_>>(), 0.25);
     tracing::debug!(?connected, ?disagreements, "agreement of the cameras about motions");
+    let moves_alike = |disagreement: Option<f64>| {
+        disagreement.zip(usual).is_none_or(|(disagreement, usual)| disagreement <= OTHER_MOTION * usual)
+    };
+    let alike = connected.iter().zip(disagreements).filter(|&(_, disagreement)| moves_alike(disagreement));
+    let alike: Vec<(f64, (usize, usize))> = alike.map(|(pair, _)| *pair).collect();
+    let by_share = |least: f64| joined(&placed, alike.iter().filter(|pair| pair.0 > least).map(|pair| pair.1));
+    Groups { connected: by_share(SHARED), close: by_share(SHARED_BY_CLOSE) }
+}
+
+/// The groups of cameras that pairs join, largest first.
+fn joined(placed: &[usize], pairs: impl Iterator<Item = (usize, usize)>) -> Vec<Vec<usize>> {
     let mut groups: Vec<Vec<usize>> = placed.iter().map(|&v| vec![v]).collect();
-    for ((a, b), disagreement) in connected.into_iter().zip(disagreements) {
-        if disagreement.zip(usual).is_some_and(|(disagreement, usual)| disagreement > OTHER_MOTION * usual) {
-            continue;
-        }
+    for (a, b) in pairs {
         let position = |v: usize, groups: &[Vec<usize>]| groups.iter().position(|group| group.contains(&v));
         let (Some(of_a), Some(of_b)) = (position(a, &groups), position(b, &groups)) else { continue };
         if of_a != of_b {
@@ -53,10 +73,11 @@ pub fn groups(people: &TrackedPeople) -> Vec<Vec<usize>> {
     groups
 }
 
-/// Whether two cameras see people at the same places at the same times.
+/// Share of the people of two cameras, standing in both images, that both see at the same places and times; `None` with fewer than
+/// [`MIN_SHARED`].
 ///
 /// Frames in which one of them shows no person count neither way: it may have been started later, or stopped before.
-fn are_connected(people: &TrackedPeople, a: usize, b: usize) -> bool {
+fn shared(people: &TrackedPeople, a: usize, b: usize) -> Option<f64> {
     let shows_people =
         |view: usize, frame: usize| people.session.views[view].frames[frame].iter().any(Detection::has_points);
     let (mut n_shared, mut n_expected) = (0, 0);
@@ -71,7 +92,7 @@ fn are_connected(people: &TrackedPeople, a: usize, b: usize) -> bool {
         }
     }
     tracing::debug!(a, b, n_shared, n_expected, "people in the images of two cameras");
-    n_shared >= MIN_SHARED && n_shared as f64 > SHARED * n_expected as f64
+    (n_shared >= MIN_SHARED).then(|| n_shared as f64 / n_expected as f64)
 }
 
 /// How much the motions that two cameras show disagree, m: 75 % quantile of the change over [`CHANGE_SECS`] of the distance between

@@ -9,7 +9,7 @@ use super::lens::SeenPeople;
 use super::movement::{turn, zoom};
 use super::parameters::{delays, likeliest_exchange, smaller_images, wrong_lenses};
 use super::reading::{Question, Reading};
-use super::takes::groups;
+use super::takes::{Groups, groups};
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
 use crate::matching::normalized::normalized_views;
@@ -199,7 +199,7 @@ fn the_seconds_of_a_runner_were_two_takes() {
     people[0].points.truncate(12);
     let people =
         TrackedPeople { session: &session, noise: &noise, cameras: &cameras, tracks: &tracks, points: &people };
-    assert_eq!(groups(&people).len(), 1);
+    assert_eq!(groups(&people).connected.len(), 1);
 }
 
 #[test]
@@ -209,20 +209,24 @@ fn cameras_without_common_people_are_groups() {
     let groups = |tracks: &[PersonTrack], points: &[JointTrajectory]| {
         groups(&TrackedPeople { session: &session, noise: &noise, cameras: &cameras, tracks, points })
     };
-    assert_eq!(groups(&tracks, &people).len(), 1);
-    // One person in twenty is seen by both groups at once, as people of two takes are by chance.
-    let of_views = |track: &PersonTrack, views: [usize; 2]| {
+    assert_eq!(groups(&tracks, &people).connected.len(), 1);
+    let of_views = |track: &PersonTrack, views: [usize; 2], one_in: usize| {
         let mut part = track.clone();
-        for assigned in part.detections.iter_mut().enumerate().filter(|(t, _)| t % 20 > 0).map(|(_, assigned)| assigned)
-        {
+        let apart = part.detections.iter_mut().enumerate().filter(|(t, _)| !t.is_multiple_of(one_in));
+        for assigned in apart.map(|(_, assigned)| assigned) {
             assigned.iter_mut().enumerate().filter(|(view, _)| !views.contains(view)).for_each(|(_, d)| *d = None);
         }
         part
     };
-    let split: Vec<PersonTrack> =
-        tracks.iter().flat_map(|track| [of_views(track, [0, 1]), of_views(track, [2, 3])]).collect();
+    let split = |one_in: usize| -> Vec<PersonTrack> {
+        tracks.iter().flat_map(|track| [[0, 1], [2, 3]].map(|views| of_views(track, views, one_in))).collect()
+    };
     let twice: Vec<JointTrajectory> = people.iter().flat_map(|person| [person.clone(), person.clone()]).collect();
-    assert_eq!(groups(&split, &twice), [[0, 1], [2, 3]]);
+    // As people of two takes are, one in twenty is seen by both groups at once by chance.
+    assert_eq!(groups(&split(20), &twice).connected, [[0, 1], [2, 3]]);
+    // Two cameras of the same people, started two seconds after the others, were connected with these by a third of the people.
+    let Groups { connected, close } = groups(&split(3), &twice);
+    assert_eq!((connected.len(), close), (1, vec![vec![0, 1], vec![2, 3]]));
 }
 
 /// Two of four cameras were stopped a second after the others had been started: they were said to show another take.
@@ -235,7 +239,7 @@ fn cameras_that_share_a_second_were_two_takes() {
             apart.tracks.iter_mut().for_each(|track| track.detections[frame][view] = None);
         }
     }
-    assert_eq!(of_people(&apart, groups), [[0, 1, 2, 3]]);
+    assert_eq!(of_people(&apart, groups).connected, [[0, 1, 2, 3]]);
 }
 
 #[test]
