@@ -1,6 +1,7 @@
 //! `wandless mcp`: a server of the Model Context Protocol over stdio, so that agents use the job API of a service.
 //!
-//! A line of stdin is a JSON-RPC 2.0 message or a list of such (a batch), a line of stdout an answer or the list of answers. One call is worked on at a time; logs go to stderr.
+//! A line of stdin is a JSON-RPC 2.0 message or a list of such (a batch), a line of stdout an answer or the list of
+//! answers. One call is worked on at a time; logs go to stderr.
 
 mod jobs;
 mod messages;
@@ -58,17 +59,20 @@ fn serve(client: &Client, lines: impl BufRead, mut out: impl Write) -> io::Resul
 
 /// The answer to a message, or those to the messages of a batch; `None` where all are notifications.
 fn answer_to_line(client: &Client, line: &[u8], out: &mut impl Write) -> io::Result<Option<Value>> {
-    let mut answered = |message: Value| match Request::read(message) {
-        Ok(request) => answer(client, &request, out),
-        Err(refused) => Ok(Some(refused)),
+    let mut answered = |message: Value| -> io::Result<Option<Value>> {
+        let answer = match Request::read(message) {
+            Ok(request) => answer(client, &request, out)?,
+            Err(refused) => Some(refused),
+        };
+        Ok(answer.map(|answer| answer.0))
     };
     match serde_json::from_slice(line) {
         Ok(Value::Array(batch)) if !batch.is_empty() => {
             let answers = batch.into_iter().filter_map(|message| answered(message).transpose());
-            let answers = answers.map(|answer| answer.map(|answer| answer.0)).collect::<io::Result<Vec<Value>>>()?;
+            let answers: Vec<Value> = answers.collect::<io::Result<_>>()?;
             Ok((!answers.is_empty()).then_some(Value::Array(answers)))
         }
-        Ok(message) => Ok(answered(message)?.map(|answer| answer.0)),
+        Ok(message) => answered(message),
         Err(error) => {
             let reason = format!("the line is not a message of JSON-RPC 2.0: {error}");
             Ok(Some(Answer::failure(&Value::Null, PARSE_ERROR, reason).0))

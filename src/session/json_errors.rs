@@ -1,7 +1,5 @@
 //! Errors in JSON documents: what is wrong, and where.
 
-use std::borrow::Cow;
-
 /// Before what was expected instead, in a message of the parser.
 const EXPECTED: &str = ", expected ";
 /// Before the position, in a message of the parser.
@@ -21,7 +19,7 @@ pub(crate) fn in_json_words(error: &serde_json::Error) -> String {
     format!("{before}{EXPECTED}{}{position}", name_in_json(expected))
 }
 
-fn name_in_json(expected: &str) -> Cow<'_, str> {
+fn name_in_json(expected: &str) -> String {
     let name = match expected {
         "u8" => "a whole number from 0 to 255",
         "u16" => "a whole number from 0 to 65535",
@@ -35,11 +33,10 @@ fn name_in_json(expected: &str) -> Cow<'_, str> {
         _ => {
             return expected
                 .replace("an array of length", "a list of length")
-                .replace("tuple of size", "list of length")
-                .into();
+                .replace("tuple of size", "list of length");
         }
     };
-    name.into()
+    name.to_owned()
 }
 
 #[cfg(test)]
