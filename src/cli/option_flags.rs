@@ -4,7 +4,7 @@ use super::bad_input::BadInput;
 use crate::pipeline::Options;
 use crate::pipeline::option_reference::{paragraph, value_name};
 use crate::pipeline::option_table::{Field, Form, Kind, OPTION_TABLE, OptionRow};
-use crate::session::json_errors::in_json_words;
+use crate::session::parser_errors::in_json_words;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Arg, ArgMatches, Command, FromArgMatches};
 use serde_json::{Map, Value, json};

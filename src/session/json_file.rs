@@ -1,5 +1,6 @@
 //! JSON files that are read as a whole.
 
+use super::parser_errors::in_json_words;
 use serde::de::DeserializeOwned;
 use std::fs;
 use std::io;
@@ -17,7 +18,7 @@ pub enum JsonFileError {
         source: io::Error,
     },
     /// The content is not the expected JSON document.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {}", path.display(), in_json_words(source))]
     Json {
         /// The file.
         path: PathBuf,

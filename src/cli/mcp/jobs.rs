@@ -6,7 +6,7 @@ use crate::cli::output_folder::require_free;
 use crate::cli::submit;
 use crate::pipeline::Options;
 use crate::pipeline::option_reference::options_document;
-use crate::session::json_errors::in_json_words;
+use crate::session::parser_errors::in_json_words;
 use serde_json::{Map, Value, json};
 use std::path::Path;
 use std::time::{Duration, Instant};

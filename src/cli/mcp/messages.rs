@@ -1,6 +1,6 @@
 //! Messages of JSON-RPC 2.0.
 
-use crate::session::json_errors::in_json_words;
+use crate::session::parser_errors::in_json_words;
 use serde::Deserialize;
 use serde_json::{Value, json};
 

@@ -4,7 +4,7 @@ use super::error::Problem;
 use crate::service::failpoint::fault;
 use crate::service::settings::RequestLimits;
 use crate::service::store::folders::TemporaryFile;
-use crate::session::json_errors::{in_json_words, pointer_step};
+use crate::session::parser_errors::{in_json_words, pointer_step};
 use axum::body::{Body, Bytes};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use http_body_util::BodyExt;

@@ -4,7 +4,7 @@ use super::error::Problem;
 use crate::pipeline::option_table::OptionRow;
 use crate::pipeline::{CameraFacts, Options, PipelineError};
 use crate::service::bodies;
-use crate::session::json_errors::{in_json_words, pointer_step};
+use crate::session::parser_errors::{in_json_words, pointer_step};
 use axum::http::StatusCode;
 use serde_json::{Map, Value};
 use std::path::Path;

@@ -15,7 +15,7 @@ use crate::service::queue::{EnqueueError, IdempotencyKey, NewJob, QueueLimits, f
 use crate::service::store::Tenant;
 use crate::service::store::sessions::{self, AddError, SessionSummary, StoredSession};
 use crate::service::webhooks;
-use crate::session::json_errors::in_json_words;
+use crate::session::parser_errors::in_json_words;
 use axum::Extension;
 use axum::body::Body;
 use axum::extract::State;

@@ -4,6 +4,7 @@
 
 use super::Settings;
 use super::ranges::check;
+use crate::session::parser_errors::in_toml_words;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
@@ -51,7 +52,7 @@ impl Layers {
             std::fs::read_to_string(path).map_err(|source| SettingsError::File { path: path.to_owned(), source })?;
         let invalid = |error: toml::de::Error| SettingsError::Invalid {
             layer: path.display().to_string(),
-            reason: error.to_string().trim_end().to_owned(),
+            reason: in_toml_words(&error.to_string()),
         };
         toml::from_str::<Settings>(&text).map_err(invalid)?; // names key and line
         merge(&mut self.table, text.parse().map_err(invalid)?);
@@ -94,7 +95,7 @@ impl Layers {
             _ => return Err(SettingsError::Word { word }),
         };
         Settings::deserialize(Value::Table(layer.clone()))
-            .map_err(|error| SettingsError::Invalid { layer: word, reason: error.message().to_owned() })?;
+            .map_err(|error| SettingsError::Invalid { layer: word, reason: in_toml_words(error.message()) })?;
         merge(&mut self.table, layer);
         Ok(self)
     }
@@ -106,7 +107,7 @@ impl Layers {
     pub fn settings(self) -> Result<Settings, SettingsError> {
         let invalid = |reason: String| SettingsError::Invalid { layer: "settings".to_owned(), reason };
         let mut settings =
-            Settings::deserialize(Value::Table(self.table)).map_err(|error| invalid(error.message().to_owned()))?;
+            Settings::deserialize(Value::Table(self.table)).map_err(|error| invalid(in_toml_words(error.message())))?;
         settings.program =
             std::env::current_exe().map_err(|error| invalid(format!("path of the running program: {error}")))?;
         check(&settings).map_err(invalid)?;
@@ -162,9 +163,15 @@ mod tests {
 
     #[test]
     fn rejects_unknown_keys_and_invalid_values_by_name() {
-        for (key, value) in [("limits.max_wiat_s", "1"), ("limits.max_wait_s", "-1"), ("x", "1"), ("a.b.c", "1")] {
+        for (key, value) in [
+            ("limits.max_wait_s", "soon"),
+            ("limits.max_wiat_s", "1"),
+            ("limits.max_wait_s", "-1"),
+            ("x", "1"),
+            ("a.b.c", "1"),
+        ] {
             let error = Layers::default().word(key, value).unwrap_err().to_string();
-            assert!(error.starts_with(&format!("{key}={value}: ")), "{error}");
+            assert!(error.starts_with(&format!("{key}={value}: ")) && !error.contains("f64"), "{error}");
         }
         assert!(Layers::default().word("jobs.concurrent", "0").unwrap().settings().is_err());
         let folder = tempfile::tempdir().unwrap();

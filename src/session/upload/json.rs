@@ -8,7 +8,7 @@ use super::error::{Fault, UploadError, shown};
 use super::guard::JsonGuard;
 use super::limits::UploadLimits;
 use super::warnings::Warnings;
-use crate::session::json_errors::{in_json_words, pointer_step};
+use crate::session::parser_errors::{in_json_words, pointer_step};
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde::de::{

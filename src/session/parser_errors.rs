@@ -1,25 +1,44 @@
-//! Errors in JSON documents: what is wrong, and where.
+//! Errors of the parsers of JSON and TOML: what is wrong, and where, without the types of this program.
 
-/// Before what was expected instead, in a message of the parser.
+/// Before what was expected instead, in a message of a parser.
 const EXPECTED: &str = ", expected ";
-/// Before the position, in a message of the parser.
+/// Before the position, in a message of the parser of JSON.
 const POSITION: &str = " at line ";
+
+/// Names of a format for what has members.
+struct Words {
+    list: &'static str,
+    object: &'static str,
+}
+
+const JSON: Words = Words { list: "a list", object: "an object" };
+#[cfg(any(feature = "service", test))]
+const TOML: Words = Words { list: "an array", object: "a table" };
 
 /// One step of a JSON pointer (RFC 6901): the member `key` of an object.
 pub(crate) fn pointer_step(key: &str) -> String {
     format!("/{}", key.replace('~', "~0").replace('/', "~1"))
 }
 
-/// The message of the parser with the names of JSON for what it expected: the parser gives the types of this program.
+/// The message of the parser with the names of JSON for what it expected.
 pub(crate) fn in_json_words(error: &serde_json::Error) -> String {
-    let text = error.to_string();
-    // The value comes before, and may have the same words.
-    let Some((before, after)) = text.rsplit_once(EXPECTED) else { return text };
-    let (expected, position) = after.split_at(after.rfind(POSITION).unwrap_or(after.len()));
-    format!("{before}{EXPECTED}{}{position}", name_in_json(expected))
+    without_types(error.to_string(), &JSON)
 }
 
-fn name_in_json(expected: &str) -> String {
+/// A message of the parser with the names of TOML for what it expected.
+#[cfg(any(feature = "service", test))]
+pub(crate) fn in_toml_words(message: &str) -> String {
+    without_types(message.trim_end().to_owned(), &TOML)
+}
+
+fn without_types(message: String, words: &Words) -> String {
+    // The value comes before, and may have the same words.
+    let Some((before, after)) = message.rsplit_once(EXPECTED) else { return message };
+    let (expected, position) = after.split_at(after.rfind(POSITION).unwrap_or(after.len()));
+    format!("{before}{EXPECTED}{}{position}", name_of(expected, words))
+}
+
+fn name_of(expected: &str, words: &Words) -> String {
     let name = match expected {
         "u8" => "a whole number from 0 to 255",
         "u16" => "a whole number from 0 to 65535",
@@ -27,13 +46,12 @@ fn name_in_json(expected: &str) -> String {
         "u64" | "usize" => "a whole number, 0 or more",
         "i64" | "isize" => "a whole number",
         "f32" | "f64" => "a number",
-        "a sequence" => "a list",
-        "a map" => "an object",
-        _ if expected.starts_with("struct ") => "an object",
+        "a sequence" => words.list,
+        "a map" => words.object,
+        _ if expected.starts_with("struct ") => words.object,
         _ => {
-            return expected
-                .replace("an array of length", "a list of length")
-                .replace("tuple of size", "list of length");
+            let list = format!("{} of length", words.list);
+            return expected.replace("an array of length", &list).replace("a tuple of size", &list);
         }
     };
     name.to_owned()
@@ -73,6 +91,18 @@ mod tests {
         for (words, expected) in cases {
             assert_eq!(words, expected);
         }
+    }
+
+    #[test]
+    fn toml_has_tables_and_arrays() {
+        #[derive(Debug, Deserialize)]
+        struct Settings {
+            #[allow(dead_code, reason = "only errors are looked at")]
+            limits: Pair,
+        }
+        let words = |text: &str| in_toml_words(toml::from_str::<Settings>(text).unwrap_err().message());
+        assert_eq!(words("limits = 3"), "invalid type: integer `3`, expected a table");
+        assert_eq!(words("limits.left = \"a\""), "invalid type: string \"a\", expected a number");
     }
 
     #[test]
