@@ -10,12 +10,14 @@
 //! 6. [`clusters`]: tracklets of one person, across views
 //!
 //! and under known poses [`tracker`], which assigns every detection to a person, and [`convex`], which matches the
-//! detections of one frame by the affinities of [`consistency`]. [`assignment`] is the minimum-cost assignment for all.
+//! detections of one frame by the affinities of [`consistency`]. [`assignment`] is the minimum-cost assignment for all, [`groups`]
+//! are the cameras that pairs connect.
 
 pub mod assignment;
 pub mod clusters;
 pub mod consistency;
 pub mod convex;
+pub mod groups;
 pub mod normalized;
 pub mod pair_hypotheses;
 pub mod pair_score;

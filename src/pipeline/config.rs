@@ -69,7 +69,7 @@ impl Default for Options {
             fps: None,
             extrinsics: Extrinsics::Estimate,
             intrinsics: IntrinsicsMode::Fixed,
-            scale: ScaleSource::Body,
+            scale: ScaleSource::Body {},
             up_axis: UpAxis::Y,
             denoise: true,
             motion_prior: MotionPriorMode::Denoiser,
@@ -251,11 +251,11 @@ impl Options {
     }
 
     fn check_scale(&self, known: &[CameraFacts]) -> Result<(), PipelineError> {
-        if self.scale != ScaleSource::Body && self.extrinsics != Extrinsics::Estimate {
+        if self.scale != (ScaleSource::Body {}) && self.extrinsics != Extrinsics::Estimate {
             return refuse("/scale", SCALE_OF_POSES);
         }
         match &self.scale {
-            ScaleSource::Body => Ok(()),
+            ScaleSource::Body {} => Ok(()),
             ScaleSource::Height { metres, .. } if !(HEIGHT_RANGE[0]..=HEIGHT_RANGE[1]).contains(metres) => {
                 let [min, max] = HEIGHT_RANGE;
                 let reason = format!("{metres} m is not a plausible height of a person; give {min} to {max} m");
@@ -322,7 +322,8 @@ pub enum IntrinsicsMode {
 #[serde(tag = "from", rename_all = "snake_case", deny_unknown_fields)]
 pub enum ScaleSource {
     /// From the people's bone lengths.
-    Body,
+    // Braces: a variant without fields accepts and ignores any.
+    Body {},
     /// One person's standing height is known.
     Height {
         /// Height, m.
@@ -422,6 +423,15 @@ mod tests {
                 assert!(refused.starts_with("/scale: ") && refused.contains("\"estimate\""), "{refused}");
             }
         }
+    }
+
+    /// A height was ignored without a word where `from` did not name it.
+    #[test]
+    fn a_height_beside_another_source_was_ignored() {
+        let read = |text: &str| serde_json::from_str::<Options>(&format!(r#"{{"scale": {text}}}"#));
+        assert_eq!(read(r#"{"from": "body"}"#).unwrap(), Options::default());
+        let refused = read(r#"{"from": "body", "metres": 1.82}"#).unwrap_err().to_string();
+        assert!(refused.contains("`metres`"), "{refused}");
     }
 
     #[test]

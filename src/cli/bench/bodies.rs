@@ -219,7 +219,7 @@ fn given_scale(source: &str, simulated: &Simulated, model: &BodyModel) -> ScaleS
             let cameras = [0, 1].map(|view| simulated.session.views[view].id.clone());
             ScaleSource::CameraDistance { cameras, metres: (a - b).norm() }
         }
-        _ => ScaleSource::Body,
+        _ => ScaleSource::Body {},
     }
 }
 

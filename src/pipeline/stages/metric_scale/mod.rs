@@ -66,7 +66,7 @@ pub fn metric_scale(
         return from_heights(capture, tracks, paths, &known, statures).map(Some);
     }
     match &capture.options.scale {
-        ScaleSource::Body => Ok(scale_from_people(&default_body(), &measured_people(capture, paths)).map(report)),
+        ScaleSource::Body {} => Ok(scale_from_people(&default_body(), &measured_people(capture, paths)).map(report)),
         ScaleSource::Height { metres, who } => {
             from_heights(capture, tracks, paths, &Known::One(*metres, who), statures).map(Some)
         }

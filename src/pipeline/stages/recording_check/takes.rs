@@ -3,6 +3,7 @@
 
 use crate::body::detector_profile::DETECTOR;
 use crate::geometry::Rigid;
+use crate::matching::groups::connected_groups;
 use crate::optim::robust::quantile;
 use crate::pipeline::calibration::TrackedPeople;
 use crate::session::{Detection, Keypoint};
@@ -40,11 +41,11 @@ pub struct Groups {
 /// Groups the cameras by the people that they see at the same places and times, and that move alike in them.
 pub fn groups(people: &TrackedPeople) -> Groups {
     let placed: Vec<usize> = (0..people.cameras.len()).filter(|&v| people.cameras[v].is_some()).collect();
-    let pairs: Vec<(usize, usize)> =
-        placed.iter().enumerate().flat_map(|(i, &a)| placed[..i].iter().map(move |&b| (a, b))).collect();
-    let share = |(a, b)| Some((shared(people, a, b).filter(|share| *share > SHARED)?, (a, b)));
-    let connected: Vec<(f64, (usize, usize))> = pairs.into_par_iter().filter_map(share).collect();
-    let disagreements: Vec<Option<f64>> = connected.par_iter().map(|&(_, (a, b))| disagreement(people, a, b)).collect();
+    let pairs: Vec<[usize; 2]> =
+        placed.iter().enumerate().flat_map(|(i, &a)| placed[..i].iter().map(move |&b| [a, b])).collect();
+    let share = |[a, b]: [usize; 2]| Some((shared(people, a, b).filter(|share| *share > SHARED)?, [a, b]));
+    let connected: Vec<(f64, [usize; 2])> = pairs.into_par_iter().filter_map(share).collect();
+    let disagreements: Vec<Option<f64>> = connected.par_iter().map(|&(_, [a, b])| disagreement(people, a, b)).collect();
     // Cameras of two takes make up half of the pairs or more: those of one take are among the lowest.
     let usual = quantile(&mut disagreements.iter().flatten().copied().collect::<Vec<_>>(), 0.25);
     tracing::debug!(?connected, ?disagreements, "agreement of the cameras about motions");
@@ -52,23 +53,16 @@ pub fn groups(people: &TrackedPeople) -> Groups {
         disagreement.zip(usual).is_none_or(|(disagreement, usual)| disagreement <= OTHER_MOTION * usual)
     };
     let alike = connected.iter().zip(disagreements).filter(|&(_, disagreement)| moves_alike(disagreement));
-    let alike: Vec<(f64, (usize, usize))> = alike.map(|(pair, _)| *pair).collect();
-    let by_share = |least: f64| joined(&placed, alike.iter().filter(|pair| pair.0 > least).map(|pair| pair.1));
+    let alike: Vec<(f64, [usize; 2])> = alike.map(|(pair, _)| *pair).collect();
+    let by_share = |least: f64| largest_first(&placed, alike.iter().filter(|pair| pair.0 > least).map(|pair| pair.1));
     Groups { connected: by_share(SHARED), close: by_share(SHARED_BY_CLOSE) }
 }
 
-/// The groups of cameras that pairs join, largest first.
-fn joined(placed: &[usize], pairs: impl Iterator<Item = (usize, usize)>) -> Vec<Vec<usize>> {
-    let mut groups: Vec<Vec<usize>> = placed.iter().map(|&v| vec![v]).collect();
-    for (a, b) in pairs {
-        let position = |v: usize, groups: &[Vec<usize>]| groups.iter().position(|group| group.contains(&v));
-        let (Some(of_a), Some(of_b)) = (position(a, &groups), position(b, &groups)) else { continue };
-        if of_a != of_b {
-            let joined = groups.swap_remove(of_a.max(of_b));
-            groups[of_a.min(of_b)].extend(joined);
-        }
-    }
-    groups.iter_mut().for_each(|group| group.sort_unstable());
+/// The groups of placed cameras that pairs connect, largest first.
+fn largest_first(placed: &[usize], pairs: impl Iterator<Item = [usize; 2]>) -> Vec<Vec<usize>> {
+    let n_views = placed.last().map_or(0, |last| last + 1);
+    let mut groups = connected_groups(n_views, pairs);
+    groups.retain(|group| placed.contains(&group[0]));
     groups.sort_by_key(|group| std::cmp::Reverse(group.len()));
     groups
 }

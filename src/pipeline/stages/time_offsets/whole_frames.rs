@@ -6,6 +6,7 @@
 //! none of the near ones.
 
 use crate::geometry::Rigid;
+use crate::matching::groups::connected_groups;
 use crate::matching::normalized::NormalizedView;
 use crate::matching::pair_hypotheses::{CameraPair, HypothesisConfig, mix, pair_hypotheses};
 use crate::matching::pair_score::{PairObservations, score_pair};
@@ -142,7 +143,7 @@ pub fn whole_offsets(
 
     let mut pairs = compared(neighbours(n_views), near)?;
     let mut offsets = reconciled(n_views, near, &pairs);
-    let groups = agreeing(&pairs, &offsets, &given_groups);
+    let groups = group_of_view(n_views, &agreeing(&pairs, &offsets, synchronous));
     let (across, within): (Vec<_>, Vec<_>) = pairs.iter().cloned().partition(|pair| !pair.is_within(&groups));
     if !across.is_empty() && far > near {
         let apart = compared(across.iter().map(|pair| pair.views).collect(), far)?;
@@ -200,15 +201,12 @@ fn grid_step(fps: f64) -> i64 {
     ((STEP_SECS * fps).round() as i64).max(1)
 }
 
-/// By view its group: the given ones, joined where pairs agree at these offsets.
-fn agreeing(pairs: &[PairScores], offsets: &[i64], given: &[usize]) -> Vec<usize> {
+/// The given groups, joined where pairs agree at these offsets.
+fn agreeing(pairs: &[PairScores], offsets: &[i64], given: &[Vec<usize>]) -> Vec<Vec<usize>> {
     let best = pairs.iter().map(|pair| pair.quality(offsets)).fold(0.0, f64::max);
-    let mut groups = given.to_vec();
-    for pair in pairs.iter().filter(|pair| pair.quality(offsets) >= AGREES.max(AGREES_SHARE * best)) {
-        let [joined, into] = pair.views.map(|v| groups[v]);
-        groups.iter_mut().filter(|group| **group == joined).for_each(|group| *group = into);
-    }
-    groups
+    let agree = pairs.iter().filter(|pair| pair.quality(offsets) >= AGREES.max(AGREES_SHARE * best));
+    let known = given.iter().flat_map(|group| group.windows(2).map(|neighbours| [neighbours[0], neighbours[1]]));
+    connected_groups(offsets.len(), known.chain(agree.map(|pair| pair.views)))
 }
 
 /// Scores of every offset in `-range..=range`: computed on a grid and around its best offsets, interpolated in between.
