@@ -3,7 +3,7 @@
 //! The work is a tree of steps: stages with weights ([`Progress::stages`]), each divided into smaller steps
 //! ([`Progress::steps`]). A handle covers a slice of the whole, and the reported share of the whole never falls.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// The caller asked the work to stop; no partial result may be published.
@@ -52,13 +52,23 @@ pub struct Progress {
     /// The step's slice of the whole work, as fractions.
     start: f64,
     end: f64,
+    /// Parts of the step that are done in any order.
+    parts: Option<Arc<Parts>>,
+}
+
+/// Parts of equal length.
+struct Parts {
+    n: usize,
+    n_done: AtomicUsize,
+    message: String,
 }
 
 impl Progress {
     /// Reports to `listener`; `canceled` may be set from any thread.
     pub fn new(listener: impl Fn(&ProgressEvent) + Send + Sync + 'static, canceled: Arc<AtomicBool>) -> Self {
         let work = Work { canceled, listener: Box::new(listener), furthest: Mutex::new(0.0) };
-        Self { work: Arc::new(work), stage: Stage { name: "", index: 0, count: 1 }, start: 0.0, end: 1.0 }
+        let stage = Stage { name: "", index: 0, count: 1 };
+        Self { work: Arc::new(work), stage, start: 0.0, end: 1.0, parts: None }
     }
 
     /// Reports nothing and is never canceled.
@@ -76,6 +86,21 @@ impl Progress {
     pub fn steps(&self, weights: impl IntoIterator<Item = f64>) -> Steps {
         let weights: Vec<f64> = weights.into_iter().collect();
         Steps { whole: self.clone(), weights, next: 0 }
+    }
+
+    /// The same step in `n` parts of equal length, which [`Self::part_done`] counts in any order and from any thread.
+    pub fn in_parts(&self, n: usize, message: impl Into<String>) -> Self {
+        let message = message.into();
+        self.report(0.0, message.clone());
+        Self { parts: Some(Arc::new(Parts { n, n_done: AtomicUsize::new(0), message })), ..self.clone() }
+    }
+
+    /// Reports that one more part of this step is done; nothing where it has none.
+    pub fn part_done(&self) {
+        if let Some(parts) = &self.parts {
+            let n_done = parts.n_done.fetch_add(1, Ordering::Relaxed) + 1;
+            self.report(n_done as f64 / parts.n.max(1) as f64, parts.message.as_str());
+        }
     }
 
     /// Reports that `fraction` (0 to 1) of this step is done.
@@ -143,7 +168,7 @@ impl Steps {
         let at = |n_done: usize| {
             self.whole.at(self.weights[..n_done.min(n)].iter().sum::<f64>() / total.max(f64::MIN_POSITIVE))
         };
-        Progress { start: at(index), end: at(index + 1), ..self.whole.clone() }
+        Progress { start: at(index), end: at(index + 1), parts: None, ..self.whole.clone() }
     }
 }
 
@@ -176,5 +201,17 @@ mod tests {
         ];
         assert_eq!(events.iter().map(row).collect::<Vec<_>>(), expected.map(|(i, f, m)| (i, f, m.to_owned())));
         assert!(events.iter().all(|event| event.stage_count == 2));
+    }
+    #[test]
+    fn parts_count_in_any_order() {
+        let fractions = Arc::new(Mutex::new(Vec::new()));
+        let heard = fractions.clone();
+        let progress = Progress::new(move |event| heard.lock().unwrap().push(event.fraction), Arc::default());
+        let mut steps = progress.steps([1.0, 1.0]);
+        let counted = steps.begin("a").in_parts(4, "b");
+        let (one, other) = (counted.clone(), counted);
+        [&other, &one, &other].into_iter().for_each(Progress::part_done);
+        steps.begin("c").part_done(); // has no parts
+        assert_eq!(*fractions.lock().unwrap(), [0.0, 0.0, 0.125, 0.25, 0.375, 0.5]);
     }
 }

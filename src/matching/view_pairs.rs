@@ -9,6 +9,11 @@ use std::cmp::Reverse;
 /// cameras, which have four, are placed reliably; pairs that see each other from unsuited angles fail.
 const MAX_PARTNERS: usize = 8;
 
+/// Most pairs of `n_views` cameras that are compared.
+pub fn max_pairs(n_views: usize) -> usize {
+    n_views * n_views.saturating_sub(1).min(MAX_PARTNERS) / 2
+}
+
 /// Pairs `(first, second)` with `first < second`, ascending: those who see most people at the same time in `frames` (of `seed` where
 /// they see as many), each camera with at most eight partners, and those without which parts of the rig would stay apart.
 pub fn compared_pairs(views: &[NormalizedView], frames: &[usize], seed: u64) -> Vec<(usize, usize)> {

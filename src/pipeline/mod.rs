@@ -254,7 +254,7 @@ impl Attempt<'_> {
         let options = self.options;
         let session = without_border_keypoints(Cow::Borrowed(self.session));
         let session = &*options.at_rate(&session);
-        let mut stages = progress.stages(stage_weights(options, options.intrinsics_of(session)));
+        let mut stages = progress.stages(stage_weights(options, session));
         let placed = match self.placed(session, &mut stages)? {
             ControlFlow::Break(repaired) => return Ok(repaired),
             ControlFlow::Continue(placed) => placed,
@@ -275,7 +275,7 @@ impl Attempt<'_> {
     fn corrected(&self, continuation: &Continuation, progress: &Progress) -> Result<SolvedSession, PipelineError> {
         let session = without_border_keypoints(Cow::Borrowed(self.session));
         let session = &*self.options.at_rate(&session);
-        let mut stages = progress.stages(corrected_stage_weights(self.options));
+        let mut stages = progress.stages(corrected_stage_weights(self.options, session));
         let reconstruction = self.corrected_result(session, continuation, &mut stages)?;
         Ok(SolvedSession { reconstruction, continuation: continuation.clone() })
     }

@@ -69,9 +69,13 @@ fn fit_first(
     let (free, held) = (|pass| (pass, Shape::Free), |pass| (pass, Shape::Held));
     let of_first = fit_window(context, observations, &start, first, &[Pass::Points, Pass::First].map(free))?;
     let shaped = MotionState { betas: of_first.whole.state.betas, ..start };
-    let fit = |w: &Range<usize>| match w == first {
-        true => Ok(of_first.clone()),
-        false => fit_window(context, observations, &shaped, w, &[Pass::Points, Pass::Rough].map(held)),
+    let fit = |w: &Range<usize>| {
+        let fitted = match w == first {
+            true => of_first.clone(),
+            false => fit_window(context, observations, &shaped, w, &[Pass::Points, Pass::Rough].map(held))?,
+        };
+        context.progress.part_done();
+        Ok(fitted)
     };
     let fitted = windows.par_iter().map(fit).collect::<Result<_, Canceled>>()?;
     Ok(joined(&windows, fitted, context.halo_frames()))
@@ -83,7 +87,9 @@ fn fit_last(context: &FitContext, observations: &Observations, start: MotionStat
     let fit = |window: &Range<usize>| {
         let with_halo = observations.slice(context.with_halo(window, start.poses.len()));
         let passes = last_passes(context, &with_halo, windows.len() == 1);
-        fit_window(context, observations, &start, window, &passes)
+        let fitted = fit_window(context, observations, &start, window, &passes)?;
+        context.progress.part_done();
+        Ok(fitted)
     };
     let fits = windows.par_iter().map(fit).collect::<Result<_, Canceled>>()?;
     let fits = with_common_shape(context, observations, fits)?;
