@@ -4,6 +4,7 @@ use crate::session::recording::{Detection, Session, View};
 use crate::session::suspicion::{Suspicion, SuspicionCode};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
+use std::hash::{DefaultHasher, Hasher};
 
 /// Fewer present keypoints than this may agree by chance where coordinates are whole pixels.
 const MIN_KEYPOINTS: usize = 6;
@@ -20,23 +21,26 @@ const MAX_PERIOD: usize = 5;
 const MIN_FRAMES: usize = 20;
 const PERIODIC: f64 = 0.98;
 
-/// The coordinates of a detection, to the bit; `None` with too few of them.
-fn fingerprint(detection: &Detection) -> Option<Vec<[u64; 2]>> {
-    let bits = |c: f64| (c + 0.0).to_bits();
-    let present = detection.keypoints.iter().filter(|k| k.is_present());
-    let prints: Vec<[u64; 2]> = present.map(|k| [bits(k.pixel.x), bits(k.pixel.y)]).collect();
-    (prints.len() >= MIN_KEYPOINTS).then_some(prints)
+/// A hash of the coordinates of a detection, to the bit; `None` with too few of them. The coordinates themselves took as much memory as
+/// the session; of a million detections two have the same hash with a probability of 3e-8.
+fn fingerprint(detection: &Detection) -> Option<u64> {
+    let mut hasher = DefaultHasher::new();
+    let mut n = 0;
+    for keypoint in detection.keypoints.iter().filter(|k| k.is_present()) {
+        let bits = |c: f64| (c + 0.0).to_bits(); // of 0 and -0 the same
+        hasher.write_u64(bits(keypoint.pixel.x));
+        hasher.write_u64(bits(keypoint.pixel.y));
+        n += 1;
+    }
+    (n >= MIN_KEYPOINTS).then(|| hasher.finish())
 }
-
-/// The fingerprints of the detections of every frame.
-type Prints = Vec<Vec<Vec<[u64; 2]>>>;
 
 /// Keypoints that occur twice: in two cameras, or in successive frames of one.
 pub(super) fn suspicions(session: &Session) -> Vec<Suspicion> {
     let of_frame = |people: &Vec<Detection>| people.iter().filter_map(fingerprint).collect();
     let of_view = |view: &View| {
-        let prints: Prints = view.frames.iter().map(of_frame).collect();
-        let distinct: BTreeSet<Vec<[u64; 2]>> = prints.iter().flatten().cloned().collect();
+        let prints: Vec<Vec<u64>> = view.frames.iter().map(of_frame).collect();
+        let distinct: BTreeSet<u64> = prints.iter().flatten().copied().collect();
         (repeated_frames(view, &prints), distinct)
     };
     let (repeated, distinct): (Vec<Option<Suspicion>>, Vec<_>) = session.views.par_iter().map(of_view).unzip();
@@ -44,7 +48,7 @@ pub(super) fn suspicions(session: &Session) -> Vec<Suspicion> {
 }
 
 /// Pairs of cameras with the same keypoints, at the same or at another time.
-fn duplicate_cameras(session: &Session, prints: &[BTreeSet<Vec<[u64; 2]>>]) -> Vec<Suspicion> {
+fn duplicate_cameras(session: &Session, prints: &[BTreeSet<u64>]) -> Vec<Suspicion> {
     let pairs: Vec<(usize, usize)> =
         (0..prints.len()).flat_map(|i| (i + 1..prints.len()).map(move |j| (i, j))).collect();
     let duplicate = |&(i, j): &(usize, usize)| {
@@ -63,10 +67,10 @@ fn duplicate_cameras(session: &Session, prints: &[BTreeSet<Vec<[u64; 2]>>]) -> V
     pairs.par_iter().filter_map(duplicate).collect()
 }
 
-/// A camera whose keypoints do not change from frame to frame.
-fn repeated_frames(view: &View, frames: &Prints) -> Option<Suspicion> {
+/// A camera whose keypoints do not change from frame to frame. `frames`: fingerprints of the detections of each.
+fn repeated_frames(view: &View, frames: &[Vec<u64>]) -> Option<Suspicion> {
     let n = frames.iter().filter(|prints| !prints.is_empty()).count();
-    let repeats = |pair: &&[Vec<Vec<[u64; 2]>>]| !pair[1].is_empty() && pair[0] == pair[1];
+    let repeats = |pair: &&[Vec<u64>]| !pair[1].is_empty() && pair[0] == pair[1];
     let repeated = frames.windows(2).filter(repeats).count();
     let share = repeated as f64 / n.max(1) as f64;
     (repeated >= MIN_REPEATED && share > REPEATED).then(|| {

@@ -147,7 +147,12 @@ fn fault_of_parser(error: serde_json::Error) -> UploadError {
 }
 
 /// Interprets a failed read: a broken limit, a disk error, or a member that does not decompress.
+///
+/// Memory that runs out ends the process, as in every other allocation; the service states it as such.
 pub(crate) fn fault_of_io(error: io::Error) -> UploadError {
+    if error.kind() == io::ErrorKind::OutOfMemory {
+        std::alloc::handle_alloc_error(std::alloc::Layout::new::<u8>());
+    }
     match error.downcast::<UploadError>() {
         Ok(error) => error,
         Err(error) if error.raw_os_error().is_some() => Fault::FileUnreadable.with(error.to_string()),
