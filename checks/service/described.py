@@ -6,6 +6,7 @@ Two runs: one on an empty service, and one on an existing session and a finished
 the id.
 """
 
+import json
 import os
 import shutil
 import subprocess
@@ -13,7 +14,8 @@ import tempfile
 
 from harness import Faults, Service, arguments, take
 
-CONFIG = os.path.join(os.path.dirname(os.path.abspath(__file__)), "schemathesis.toml")
+HERE = os.path.dirname(os.path.abspath(__file__))
+CONFIG, HOOKS = os.path.join(HERE, "schemathesis.toml"), os.path.join(HERE, "schemathesis_hooks.py")
 OF_A_JOB = ["", "/archive", "/cameras", "/exports", "/people", "/report", "/result", "/deliveries", "/artifacts/{name}"]
 OF_A_SESSION = ["", "/inspection"]
 
@@ -25,7 +27,7 @@ def main():
     service.start()
     client = service.client()
     with open(CONFIG) as file:
-        config = file.read()
+        config = f"hooks = {json.dumps(HOOKS)}\n" + file.read()
     if not options.only_finished:
         run_schemathesis(options, service, "on an empty service", config, [], faults)
     session = client.upload(take(30, 3, seed=1))["id"]

@@ -114,9 +114,8 @@ def finished(service, job):
 
 def damage(service, job, dice):
     """Damages the checkpoints: a flipped bit, a truncated file, or a file of another release."""
-    folder = os.path.join(service.data, "checkpoints", job)
-    for name in os.listdir(folder) if os.path.isdir(folder) else []:
-        path = os.path.join(folder, name)
+    for name in finished(service, job):
+        path = os.path.join(service.data, "checkpoints", job, name + ".ckpt")
         with open(path, "rb") as file:
             data = bytearray(file.read())
         how = dice.randrange(3)

@@ -34,7 +34,7 @@ pub(super) struct ListQuery {
     #[param(schema_with = state_filter, required = false)]
     state: Option<String>,
     /// `key` or `key=value`.
-    #[param(nullable = false)]
+    #[param(nullable = false, pattern = r"^[^\x00]*$")]
     label: Option<String>,
     /// Most jobs per page; values above 500 mean 500. Long labels make a page shorter.
     #[param(nullable = false, minimum = 0, default = 50)]
