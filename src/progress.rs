@@ -88,13 +88,6 @@ impl Progress {
         Steps { whole: self.clone(), weights, next: 0 }
     }
 
-    /// The same step in `n` parts of equal length, which [`Self::part_done`] counts in any order and from any thread.
-    pub fn in_parts(&self, n: usize, message: impl Into<String>) -> Self {
-        let message = message.into();
-        self.report(0.0, message.clone());
-        Self { parts: Some(Arc::new(Parts { n, n_done: AtomicUsize::new(0), message })), ..self.clone() }
-    }
-
     /// Reports that one more part of this step is done; nothing where it has none.
     pub fn part_done(&self) {
         if let Some(parts) = &self.parts {
@@ -162,6 +155,13 @@ impl Steps {
         step
     }
 
+    /// Starts the next step, which has `n` parts of equal length; [`Progress::part_done`] counts them in any order and from any thread.
+    pub fn begin_parts(&mut self, n: usize, message: impl Into<String>) -> Progress {
+        let message = message.into();
+        let step = self.begin(message.as_str());
+        Progress { parts: Some(Arc::new(Parts { n, n_done: AtomicUsize::new(0), message })), ..step }
+    }
+
     fn slice(&self, index: usize) -> Progress {
         let total: f64 = self.weights.iter().sum();
         let n = self.weights.len();
@@ -208,10 +208,10 @@ mod tests {
         let heard = fractions.clone();
         let progress = Progress::new(move |event| heard.lock().unwrap().push(event.fraction), Arc::default());
         let mut steps = progress.steps([1.0, 1.0]);
-        let counted = steps.begin("a").in_parts(4, "b");
+        let counted = steps.begin_parts(4, "a");
         let (one, other) = (counted.clone(), counted);
         [&other, &one, &other].into_iter().for_each(Progress::part_done);
-        steps.begin("c").part_done(); // has no parts
-        assert_eq!(*fractions.lock().unwrap(), [0.0, 0.0, 0.125, 0.25, 0.375, 0.5]);
+        steps.begin("b").part_done(); // has no parts
+        assert_eq!(*fractions.lock().unwrap(), [0.0, 0.125, 0.25, 0.375, 0.5]);
     }
 }

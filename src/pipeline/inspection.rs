@@ -3,6 +3,7 @@
 //! Known limit: small baselines and cameras in a row are found only where the session gives `R` and `t`.
 
 use super::passes::synchronisation::Timing;
+use super::planned_stages::expected_secs;
 use crate::body::detector_noise::keypoint_sigmas;
 use crate::geometry::Rigid;
 use crate::matching::groups::connected_groups;
@@ -102,12 +103,8 @@ const STATIC: f64 = 0.1;
 /// Frames of a camera that are compared with each other for movement.
 const MAX_COMPARED: usize = 12;
 
-/// Detections that one core solves per second: 1,000 to 1,500 in simulated recordings of 300 frames with the errors of real detectors,
-/// 3,000 in those of 1,500 frames; a slow core takes twice as long.
-const DETECTIONS_PER_CORE_SECOND: f64 = 1500.0;
-
-/// Wall time of the shortest job, s.
-const LEAST_S: f64 = 0.5;
+/// Time between a job's start and its first stage, and between its last stage and the result, s.
+const REST_S: f64 = 0.2;
 
 /// Inspects a session; `n_threads`: number of cores for the expected time.
 pub fn inspect(session: &Session, n_threads: usize) -> Inspection {
@@ -274,7 +271,7 @@ fn expectation(session: &Session, cameras: &[InspectedCamera], n_threads: usize)
     let people: usize = (0..session.n_frames).map(most_at_once).sum();
     let cameras_per_person = if people == 0 { 0.0 } else { detections as f64 / people as f64 };
     let joint_error_mm = (cameras_per_person >= 1.5).then(|| 1000.0 * sigma_m * (4.5 / cameras_per_person).sqrt());
-    let solve_s = LEAST_S + detections as f64 / DETECTIONS_PER_CORE_SECOND / n_threads.max(1) as f64;
+    let solve_s = REST_S + expected_secs(session, n_threads);
     Expectation { joint_error_mm, solve_s, cameras_per_person }
 }
 

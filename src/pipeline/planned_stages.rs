@@ -1,4 +1,4 @@
-//! The stages that a job reports, with their shares of the time.
+//! The stages that a job reports, and the time that they take.
 
 use super::config::{IntrinsicsMode, MotionPriorMode, Options, Sync};
 use super::corrections::Correction;
@@ -14,6 +14,9 @@ pub(super) const CORRECTED_STAGES: [&str; 2] = ["corrected_metric_scale", "corre
 /// Time that latent motions take, over that of all other steps of the body fit.
 pub(super) const LATENT_SHARE: f64 = 2.0;
 
+/// Cores that the times are of.
+const MEASURED_CORES: f64 = 2.0;
+
 /// What the time of a stage depends on.
 struct Workload {
     n_pairs: f64,
@@ -27,8 +30,8 @@ impl Workload {
         Self { n_pairs: max_pairs(session.views.len()) as f64, detections: 1e-3 * n_detections as f64 }
     }
 
-    /// Of a stage that takes `fixed` seconds, these for each pair of cameras, and these for a thousand detections, as measured on two
-    /// cores with recordings of 300 and 1,500 frames, 3 to 8 cameras and 1 to 4 people.
+    /// Of a stage that takes `fixed` seconds, these for each pair of cameras, and these for a thousand detections, as measured on
+    /// [`MEASURED_CORES`] with recordings of 300 and 1,500 frames, 3 to 8 cameras and 1 to 4 people. A slow core takes twice as long.
     fn secs(&self, fixed: f64, per_pair: f64, per_detection: f64) -> f64 {
         fixed + per_pair * self.n_pairs + per_detection * self.detections
     }
@@ -57,6 +60,12 @@ pub(super) fn stage_weights(options: &Options, session: &Session) -> Vec<(&'stat
     ];
     let stages = stages.into_iter().filter(|(_, _, runs)| *runs).map(|(name, secs, _)| (name, secs));
     stages.chain(corrected_stage_weights(options, session)).collect()
+}
+
+/// Expected seconds of a solve of `session` with default options.
+pub(super) fn expected_secs(session: &Session, n_cores: usize) -> f64 {
+    let on_measured: f64 = stage_weights(&Options::default(), session).iter().map(|(_, secs)| secs).sum();
+    on_measured * MEASURED_CORES / n_cores.max(1) as f64
 }
 
 /// Those of the corrections; none without any.

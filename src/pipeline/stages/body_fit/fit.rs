@@ -75,7 +75,7 @@ pub fn fit_bodies(
     let windows_of = |track: &PersonTrack| windows(track.detections.len(), context.window_frames()).len();
     let n_windows: usize = input.tracks.iter().map(windows_of).sum();
 
-    let step = steps.begin("").in_parts(n_windows, "fitting bodies to points and pixels");
+    let step = steps.begin_parts(n_windows, "fitting bodies to points and pixels");
     let mut started = started_people(input, &FitContext { progress: &step, ..context })?;
     let stated = weigh_stated_covariances(&context, &mut started)?;
     let local = if config.correlated_errors { local_noise(&context, &started) } else { None };
@@ -116,7 +116,7 @@ pub fn fit_bodies(
     if let Some(local) = &local {
         local.weigh(&mut started);
     }
-    let step = steps.begin("").in_parts(n_windows, "fitting bodies to all observations");
+    let step = steps.begin_parts(n_windows, "fitting bodies to all observations");
     let last_context = FitContext { progress: &step, ..context };
     let mut people = finished_people(input, &last_context, started, has_changed)?;
     steps.begin("resolving collisions between bodies");
