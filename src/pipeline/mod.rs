@@ -79,7 +79,7 @@ use passes::recording_check::solved::Solved;
 use passes::recording_check::{checked, mistake_of_unsolved};
 use passes::synchronisation::{Timing, estimated_timing};
 use passes::unknown_lenses::estimated_focal_lengths;
-use planned_stages::{CORRECTED_STAGES, LAST_STAGES, corrected_stage_weights, stage_weights};
+use planned_stages::{CORRECTED_STAGES, LAST_STAGES, corrected_stage_secs, stage_secs};
 use provisional::{ProvisionalScene, Watcher};
 use repair::{MAX_REPAIRS, known_mistakes, repaired, with_repairs};
 use result::{FittedResult, Solution, statures};
@@ -254,7 +254,7 @@ impl Attempt<'_> {
         let options = self.options;
         let session = without_border_keypoints(Cow::Borrowed(self.session));
         let session = &*options.at_rate(&session);
-        let mut stages = progress.stages(stage_weights(options, session));
+        let mut stages = progress.stages(stage_secs(options, session));
         let placed = match self.placed(session, &mut stages)? {
             ControlFlow::Break(repaired) => return Ok(repaired),
             ControlFlow::Continue(placed) => placed,
@@ -275,7 +275,7 @@ impl Attempt<'_> {
     fn corrected(&self, continuation: &Continuation, progress: &Progress) -> Result<SolvedSession, PipelineError> {
         let session = without_border_keypoints(Cow::Borrowed(self.session));
         let session = &*self.options.at_rate(&session);
-        let mut stages = progress.stages(corrected_stage_weights(self.options, session));
+        let mut stages = progress.stages(corrected_stage_secs(self.options, session));
         let reconstruction = self.corrected_result(session, continuation, &mut stages)?;
         Ok(SolvedSession { reconstruction, continuation: continuation.clone() })
     }

@@ -20,20 +20,19 @@ const MEASURED_CORES: f64 = 2.0;
 /// What the time of a stage depends on.
 struct Workload {
     n_pairs: f64,
-    /// Thousands of detections.
-    detections: f64,
+    n_detections: f64,
 }
 
 impl Workload {
     fn of(session: &Session) -> Self {
         let n_detections: usize = session.views.iter().flat_map(|view| &view.frames).map(Vec::len).sum();
-        Self { n_pairs: max_pairs(session.views.len()) as f64, detections: 1e-3 * n_detections as f64 }
+        Self { n_pairs: max_pairs(session.views.len()) as f64, n_detections: n_detections as f64 }
     }
 
     /// Of a stage that takes `fixed` seconds, these for each pair of cameras, and these for a thousand detections, as measured on
     /// [`MEASURED_CORES`] with recordings of 300 and 1,500 frames, 3 to 8 cameras and 1 to 4 people. A slow core takes twice as long.
-    fn secs(&self, fixed: f64, per_pair: f64, per_detection: f64) -> f64 {
-        fixed + per_pair * self.n_pairs + per_detection * self.detections
+    fn secs(&self, fixed: f64, per_pair: f64, per_thousand: f64) -> f64 {
+        fixed + per_pair * self.n_pairs + 1e-3 * per_thousand * self.n_detections
     }
 
     fn body_fit_secs(&self, options: &Options) -> f64 {
@@ -43,7 +42,7 @@ impl Workload {
 }
 
 /// The stages of a solve of `session`, with their expected seconds.
-pub(super) fn stage_weights(options: &Options, session: &Session) -> Vec<(&'static str, f64)> {
+pub(super) fn stage_secs(options: &Options, session: &Session) -> Vec<(&'static str, f64)> {
     let intrinsics = options.intrinsics_of(session);
     let work = Workload::of(session);
     let stages = [
@@ -59,17 +58,17 @@ pub(super) fn stage_weights(options: &Options, session: &Session) -> Vec<(&'stat
         (LAST_STAGES[1], work.body_fit_secs(options), true),
     ];
     let stages = stages.into_iter().filter(|(_, _, runs)| *runs).map(|(name, secs, _)| (name, secs));
-    stages.chain(corrected_stage_weights(options, session)).collect()
+    stages.chain(corrected_stage_secs(options, session)).collect()
 }
 
 /// Expected seconds of a solve of `session` with default options.
 pub(super) fn expected_secs(session: &Session, n_cores: usize) -> f64 {
-    let on_measured: f64 = stage_weights(&Options::default(), session).iter().map(|(_, secs)| secs).sum();
+    let on_measured: f64 = stage_secs(&Options::default(), session).iter().map(|(_, secs)| secs).sum();
     on_measured * MEASURED_CORES / n_cores.max(1) as f64
 }
 
 /// Those of the corrections; none without any.
-pub(super) fn corrected_stage_weights(options: &Options, session: &Session) -> Vec<(&'static str, f64)> {
+pub(super) fn corrected_stage_secs(options: &Options, session: &Session) -> Vec<(&'static str, f64)> {
     if options.corrections.is_empty() {
         return Vec::new();
     }
