@@ -1,7 +1,7 @@
 //! Progress and cancellation: the only link from the core to its caller.
 //!
 //! The work is a tree of steps: stages with weights ([`Progress::stages`]), each divided into smaller steps
-//! ([`Progress::steps`]). A handle covers a slice of the whole, and the reported share of the whole never falls.
+//! ([`Progress::steps`]), whose parts may be counted ([`Steps::begin_parts`]). A handle covers a slice of the whole, and the reported share of the whole never falls.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -202,6 +202,7 @@ mod tests {
         assert_eq!(events.iter().map(row).collect::<Vec<_>>(), expected.map(|(i, f, m)| (i, f, m.to_owned())));
         assert!(events.iter().all(|event| event.stage_count == 2));
     }
+
     #[test]
     fn parts_count_in_any_order() {
         let fractions = Arc::new(Mutex::new(Vec::new()));
