@@ -30,7 +30,7 @@
 //! adjustment of estimated or refined cameras runs exactly once per calibration: in pass 4 on repaired detections, or
 //! without that pass at the end of pass 3.
 //!
-//! Nouns (`calibration`, `camera_clock`, `capture`, `config`, `continuation`, `corrections`, `error`, `focal_lengths`, `focal_spread`, `keyframe`, `option_kind`, `option_table`, `planned_stages`, `provisional`, `time_windows`, `unsolvable`) import no stage; stages import nouns and no other stage;
+//! Nouns (`calibration`, `camera_clock`, `capture`, `config`, `continuation`, `corrections`, `error`, `focal_lengths`, `focal_spread`, `keyframe`, `option_kind`, `option_table`, `planned_stages`, `provisional`, `time_windows`, `unsolvable`, `up_rival`) import no stage; stages import nouns and no other stage;
 //! passes import stages; this file imports passes.
 
 pub mod calibration;
@@ -56,6 +56,7 @@ pub mod result;
 pub mod stages;
 mod time_windows;
 pub mod unsolvable;
+mod up_rival;
 
 use crate::body::{BodyModel, default_body};
 use crate::progress::{Progress, Stages};

@@ -15,7 +15,8 @@ use super::stages::hand_fit::fit_hands;
 use super::stages::joint_trajectories::joint_trajectories;
 use super::stages::verdict::input::{FollowedPerson, PoseChange, VerdictInput};
 use super::stages::verdict::quality;
-use super::stages::world_frame::world_from_solution;
+use super::stages::world_frame::{World, world};
+use super::up_rival::UpRival;
 use crate::body::BodyModel;
 use crate::body::hand::with_hand_landmarks;
 use crate::body::scale::FittedStature;
@@ -62,6 +63,8 @@ pub struct Solution {
     up_axis: UpAxis,
     /// From the calibration's world to that of the result.
     world_from_solution: Similarity,
+    /// Another way up of the result's world, where that was estimated.
+    up_rival: Option<UpRival>,
 }
 
 /// A result, and its cameras in the world of the calibration that it was fitted from.
@@ -89,22 +92,29 @@ impl Solution {
         let given = !capture.estimates_extrinsics();
         let up_axis = if given { capture.session.up_axis.unwrap_or(options.up_axis) } else { options.up_axis };
         let cameras = &calibration.cameras;
-        let world_from_solution = match options.extrinsics {
-            Extrinsics::Estimate => {
-                Some(world_from_solution(capture.session, cameras, &trajectories, metres_per_unit, up_axis))
-            }
-            Extrinsics::Refine => given_from_solution(capture.session, cameras),
+        let world = match options.extrinsics {
+            Extrinsics::Estimate => Some(world(capture.session, cameras, &trajectories, metres_per_unit, up_axis)),
+            Extrinsics::Refine => given_from_solution(capture.session, cameras)
+                .map(|world_from_solution| World { world_from_solution, rival: None }),
             Extrinsics::Fixed => None,
         };
-        let world_from_solution = match world_from_solution {
-            Some(by) => {
-                move_into(&by, &mut calibration.cameras, &mut trajectories);
-                calibration.with_bodies = calibration.with_bodies.and_then(|covariance| covariance.moved(&by));
-                by
-            }
-            None => Similarity::identity(),
-        };
-        Self { calibration, trajectories, metres_per_unit, scale, heldout_px, suspicions, up_axis, world_from_solution }
+        if let Some(World { world_from_solution: by, .. }) = &world {
+            move_into(by, &mut calibration.cameras, &mut trajectories);
+            calibration.with_bodies = calibration.with_bodies.and_then(|covariance| covariance.moved(by));
+        }
+        let world_from_solution = world.map_or_else(Similarity::identity, |world| world.world_from_solution);
+        let up_rival = world.and_then(|world| world.rival);
+        Self {
+            calibration,
+            trajectories,
+            metres_per_unit,
+            scale,
+            heldout_px,
+            suspicions,
+            up_axis,
+            world_from_solution,
+            up_rival,
+        }
     }
 
     /// `camera_from_world` per view, world of the result.
@@ -365,6 +375,7 @@ impl Solution {
             lens_evidence,
             estimated: capture.estimates_extrinsics(),
             changes: &changes,
+            up_rival: self.up_rival,
         };
         Report {
             stages: self.calibration.stages.clone(),

@@ -17,8 +17,12 @@ pub(super) const RAY_ANGLE_DEG: Bounds = Bounds { warn: 30.0, reject: 5.0 };
 /// Half of the 95 % interval of the scale's logarithm. One adult gives 0.11, a group that may hold a child more.
 const SCALE_WARN: f64 = 0.15;
 
+/// How many times likelier than any other the way up has to be. Two cameras of upright people make it ten times as likely, two of people
+/// who lie leave it open.
+const UP_RATIO: f64 = 7.0;
+
 pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
-    let of_estimate = || short_recording(input).into_iter().chain(static_people(input));
+    let of_estimate = || short_recording(input).into_iter().chain(static_people(input)).chain(uncertain_up(input));
     let of_estimate = input.estimated.then(of_estimate).into_iter().flatten();
     of_estimate.chain(narrow_angles(input)).chain(uncertain_scale(input)).collect()
 }
@@ -51,6 +55,17 @@ fn narrow_angles(input: &VerdictInput) -> Option<Reason> {
         RAY_ANGLE_DEG.warn
     );
     Some(Reason { verdict, text })
+}
+
+/// People who lie or stand on their hands before few cameras.
+fn uncertain_up(input: &VerdictInput) -> Option<Reason> {
+    let rival = input.up_rival.filter(|rival| rival.ratio < UP_RATIO)?;
+    let text = format!(
+        "weak geometry: which way is up is uncertain: by how cameras stand and people hold themselves, a direction {:.0} degrees away is \
+         only {:.1} times less likely (expected above {UP_RATIO}); have a person stand upright for some seconds, or set the cameras level",
+        rival.angle_deg, rival.ratio
+    );
+    Some(Reason::warn(text))
 }
 
 /// A group that may hold children or not.

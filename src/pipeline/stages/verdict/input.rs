@@ -1,5 +1,6 @@
 //! Input of the verdict.
 
+use crate::pipeline::up_rival::UpRival;
 use crate::session::Suspicion;
 use crate::session::reconstruction::{CameraReport, GeometryReport, PenetrationReport, PersonReport, ScaleReport};
 
@@ -36,6 +37,8 @@ pub struct VerdictInput<'a> {
     pub estimated: bool,
     /// How far the cameras are from their given poses, where these were refined; else empty.
     pub changes: &'a [PoseChange],
+    /// Another way up of the world, where that was estimated.
+    pub up_rival: Option<UpRival>,
 }
 
 /// A refined camera against its given pose.

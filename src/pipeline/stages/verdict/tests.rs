@@ -2,6 +2,7 @@
 
 use super::input::{FollowedPerson, PoseChange};
 use super::*;
+use crate::pipeline::up_rival::UpRival;
 use crate::session::reconstruction::{
     CameraReport, ErrorSummary, GeometryReport, KeypointReport, Overlap, PenetrationReport, PersonReport, ScaleReport,
     SigmaSummary, StillDetections, UncertainFrames,
@@ -25,6 +26,7 @@ struct OwnedInput {
     lens_evidence: Option<f64>,
     estimated: bool,
     changes: Vec<PoseChange>,
+    up_rival: Option<UpRival>,
 }
 
 fn error(median: f64) -> Option<ErrorSummary> {
@@ -97,6 +99,7 @@ impl OwnedInput {
             lens_evidence: None,
             estimated: true,
             changes: Vec::new(),
+            up_rival: Some(UpRival { ratio: 900.0, angle_deg: 180.0 }),
         }
     }
 
@@ -117,6 +120,7 @@ impl OwnedInput {
             lens_evidence: self.lens_evidence,
             estimated: self.estimated,
             changes: &self.changes,
+            up_rival: self.up_rival,
         })
     }
 }
@@ -231,6 +235,13 @@ fn reports_weak_cameras() {
     assert_reason(Verdict::Reject, &["3.0 degrees", "walk"], |input| input.sigma_angle_deg = Some(3.0));
     assert_reason(Verdict::Warn, &["uncertainty", "longer"], |input| input.sigma_angle_deg = None);
     assert_reason(Verdict::Warn, &["ambiguous", "independently"], |input| input.rival_explained = 0.96);
+}
+
+/// People on a mat before two cameras passed with the floor for a wall.
+#[test]
+fn a_way_up_that_is_uncertain_is_stated() {
+    let rival = UpRival { ratio: 2.0, angle_deg: 90.0 };
+    assert_reason(Verdict::Warn, &["90 degrees", "2.0 times", "upright"], |input| input.up_rival = Some(rival));
 }
 
 #[test]

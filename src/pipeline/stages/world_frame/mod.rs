@@ -1,42 +1,72 @@
 //! World frame of the result: metres, the chosen axis up, origin on the floor under the people.
+//!
+//! `up_direction` weighs the ways up; `floor` levels the likeliest one by standing feet.
 
-use crate::body::human_speeds::STANDING_FOOT_M_S;
+mod floor;
+mod up_direction;
+
 use crate::geometry::{Rigid, Similarity};
 use crate::optim::robust::quantile;
+use crate::pipeline::up_rival::UpRival;
 use crate::session::JointTrajectory;
 use crate::session::recording::{Session, UpAxis};
-use nalgebra::{Matrix3, Vector3};
+use floor::{levelled, standing_feet};
+use nalgebra::{Matrix2, Matrix3, Vector3};
+use up_direction::{UpDirection, UpEvidence};
 
-/// Largest tilt of the floor under feet against the axis of bodies, rad; beyond it feet are on steps or wrong.
-const MAX_TILT: f64 = 0.26; // 15 degrees
+/// Bodies of one person that are looked at, spread over the take.
+const SAMPLES_PER_PERSON: usize = 25;
 
-/// Smallest spread of standing feet in both directions that defines a plane, m.
-const MIN_SPREAD: f64 = 0.25;
+/// Tilt of cameras' mean upright against the way up, rad, where no body shows it.
+const CAMERA_TILT: f64 = 0.26; // 15 degrees
 
-/// Heights of keypoints above the sole of a standing foot, m (lateral malleolus 68 mm, ANSUR II; toe and heel points on
-/// the shoe).
-const SOLE: [(&str, f64); 4] = [("ankle", 0.075), ("heel", 0.025), ("big_toe", 0.02), ("small_toe", 0.02)];
+/// Height above the lowest keypoints at which feet stand on no floor, m: those of people who lie.
+const MAX_ABOVE_LOWEST_M: f64 = 0.15;
 
-/// `world_from_solution`: scaled by `metres_per_unit`, `up_axis` up, floor at height zero, origin under the people's
-/// centre, first placed camera's right axis along +x as far as the floor allows.
-pub fn world_from_solution(
+/// The world of a result.
+#[derive(Debug, Clone, Copy)]
+pub struct World {
+    /// Scaled by `metres_per_unit`, the up axis up, floor at height zero, origin under the people's centre, first placed camera's right
+    /// axis along +x as far as the floor allows.
+    pub world_from_solution: Similarity,
+    /// Another way up, as far as there is one.
+    pub rival: Option<UpRival>,
+}
+
+/// The world in which people stand on the floor.
+pub fn world(
     session: &Session,
     cameras: &[Option<Rigid>],
     people: &[JointTrajectory],
     metres_per_unit: f64,
     up_axis: UpAxis,
-) -> Similarity {
-    let up_of_bodies = body_axis(session, people).or_else(|| camera_axis(cameras)).unwrap_or(-Vector3::y());
+) -> World {
     let feet = standing_feet(session, people, metres_per_unit);
-    let up = floor_normal(&feet, &up_of_bodies, metres_per_unit).unwrap_or(up_of_bodies);
+    let likeliest = up_direction(session, cameras, people);
+    let up = levelled(&likeliest, &feet, metres_per_unit);
     let level_from_solution = level_rotation(&up, cameras, up_axis);
-    let scaled = |p: &Vector3<f64>| level_from_solution * p * metres_per_unit;
     let height = axis_index(up_axis);
-    let mut heights: Vec<f64> = feet.iter().map(|(p, sole)| scaled(p)[height] - sole).collect();
-    let floor = quantile(&mut heights, 0.2).unwrap_or(0.0);
-    let mut origin = middle(people).map_or_else(Vector3::zeros, |m| scaled(&m));
-    origin[height] = floor;
-    Similarity { scale: metres_per_unit, rotation: level_from_solution, translation: -origin }
+    let height_of = |p: &Vector3<f64>| (level_from_solution * p)[height] * metres_per_unit;
+    let mut origin = middle(people).map_or_else(Vector3::zeros, |m| level_from_solution * m * metres_per_unit);
+    let mut soles: Vec<f64> = feet.iter().map(|foot| height_of(&foot.position) - foot.height).collect();
+    let mut heights: Vec<f64> = points_of(people).map(height_of).collect();
+    let lowest = quantile(&mut heights, 0.05).unwrap_or(0.0);
+    let on_soles = quantile(&mut soles, 0.2).filter(|floor| *floor < lowest + MAX_ABOVE_LOWEST_M);
+    origin[height] = on_soles.unwrap_or(lowest);
+    let world_from_solution =
+        Similarity { scale: metres_per_unit, rotation: level_from_solution, translation: -origin };
+    World { world_from_solution, rival: likeliest.rival }
+}
+
+/// By cameras and bodies; without bodies the cameras' mean upright.
+fn up_direction(session: &Session, cameras: &[Option<Rigid>], people: &[JointTrajectory]) -> UpDirection {
+    let bodies: Vec<Vec<Vector3<f64>>> =
+        people.iter().map(|person| body_axes(session, person)).filter(|axes| !axes.is_empty()).collect();
+    if bodies.is_empty() {
+        let direction = camera_axis(cameras).unwrap_or(-Vector3::y());
+        return UpDirection { direction, covariance: Matrix2::identity() * CAMERA_TILT * CAMERA_TILT, rival: None };
+    }
+    UpEvidence { cameras: cameras.iter().flatten().map(|camera| camera.rotation).collect(), bodies }.likeliest()
 }
 
 fn axis_index(up_axis: UpAxis) -> usize {
@@ -64,8 +94,8 @@ fn level_rotation(up: &Vector3<f64>, cameras: &[Option<Rigid>], up_axis: UpAxis)
     }
 }
 
-/// Mean direction from ankles (or hips) to shoulders.
-fn body_axis(session: &Session, people: &[JointTrajectory]) -> Option<Vector3<f64>> {
+/// Directions from hips, knees and ankles to the shoulder above, of frames spread over the take.
+fn body_axes(session: &Session, person: &JointTrajectory) -> Vec<Vector3<f64>> {
     let index = |name: &str| session.convention.index_of(name);
     let pairs: Vec<(usize, usize)> = ["left", "right"]
         .iter()
@@ -74,15 +104,13 @@ fn body_axis(session: &Session, people: &[JointTrajectory]) -> Option<Vector3<f6
         })
         .filter_map(|(low, high)| Some((low?, high?)))
         .collect();
-    let mut sum = Vector3::zeros();
-    for points in people.iter().flat_map(|p| &p.points) {
-        for &(low, high) in &pairs {
-            if let (Some(low), Some(high)) = (points[low], points[high]) {
-                sum += (high - low).try_normalize(1e-9).unwrap_or_else(Vector3::zeros);
-            }
-        }
-    }
-    sum.try_normalize(1e-6)
+    let axis = |points: &Vec<Option<Vector3<f64>>>| {
+        let directions = pairs.iter().filter_map(|&(low, high)| (points[high]? - points[low]?).try_normalize(1e-9));
+        directions.sum::<Vector3<f64>>().try_normalize(1e-6)
+    };
+    let axes: Vec<Vector3<f64>> = person.points.iter().filter_map(axis).collect();
+    let n = axes.len().min(SAMPLES_PER_PERSON);
+    (0..n).map(|k| axes[k * axes.len() / n]).collect()
 }
 
 /// Mean up direction of the cameras, most of which stand upright.
@@ -90,73 +118,13 @@ fn camera_axis(cameras: &[Option<Rigid>]) -> Option<Vector3<f64>> {
     cameras.iter().flatten().map(|c| -c.rotation.row(1).transpose()).sum::<Vector3<f64>>().try_normalize(1e-6)
 }
 
-/// Points of feet that do not move, with their height above the sole (m).
-fn standing_feet(session: &Session, people: &[JointTrajectory], metres_per_unit: f64) -> Vec<(Vector3<f64>, f64)> {
-    let names = session.convention.names();
-    let soles: Vec<(usize, f64)> = names
-        .iter()
-        .enumerate()
-        .filter_map(|(k, n)| SOLE.iter().find(|(part, _)| n.ends_with(part)).map(|(_, h)| (k, *h)))
-        .collect();
-    let limit = STANDING_FOOT_M_S / session.fps / metres_per_unit;
-    let span = ((session.fps * 0.1).round() as usize).max(1); // a tenth of a second averages detector noise
-    let mut feet = Vec::new();
-    for person in people {
-        for t in span..person.points.len().saturating_sub(span) {
-            for &(k, sole) in &soles {
-                let (Some(before), Some(now), Some(after)) =
-                    (person.points[t - span][k], person.points[t][k], person.points[t + span][k])
-                else {
-                    continue;
-                };
-                if (after - before).norm() < limit * 2.0 * span as f64 {
-                    feet.push((now, sole));
-                }
-            }
-        }
-    }
-    feet
+fn points_of(people: &[JointTrajectory]) -> impl Iterator<Item = &Vector3<f64>> {
+    people.iter().flat_map(|person| person.points.iter().flatten()).flatten()
 }
-
-/// Normal of the plane through standing feet, by re-weighted least squares; `None` where they do not define one.
-fn floor_normal(feet: &[(Vector3<f64>, f64)], up: &Vector3<f64>, metres_per_unit: f64) -> Option<Vector3<f64>> {
-    if feet.len() < 30 {
-        return None;
-    }
-    let mut normal = *up;
-    let mut weights = vec![1.0; feet.len()];
-    for _ in 0..10 {
-        let on_sole = |(p, sole): &(Vector3<f64>, f64)| p - normal * (sole / metres_per_unit);
-        let points: Vec<Vector3<f64>> = feet.iter().map(on_sole).collect();
-        let total: f64 = weights.iter().sum();
-        let center = points.iter().zip(&weights).map(|(p, w)| p * *w).sum::<Vector3<f64>>() / total;
-        let spread = points.iter().zip(&weights).map(|(p, w)| (p - center) * (p - center).transpose() * *w);
-        let eigen = (spread.sum::<Matrix3<f64>>() / total).symmetric_eigen();
-        let mut order = [0, 1, 2];
-        order.sort_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));
-        if eigen.eigenvalues[order[1]].max(0.0).sqrt() * metres_per_unit < MIN_SPREAD {
-            return None;
-        }
-        let found: Vector3<f64> = eigen.eigenvectors.column(order[0]).into_owned();
-        normal = if found.dot(up) < 0.0 { -found } else { found };
-        for (point, weight) in points.iter().zip(&mut weights) {
-            let off = normal.dot(&(point - center)) * metres_per_unit / FLOOR_NOISE_M;
-            *weight = 1.0 / (1.0 + off * off).powi(2);
-        }
-    }
-    (normal.angle(up) < MAX_TILT).then_some(normal)
-}
-
-/// Noise of a triangulated foot point, m.
-const FLOOR_NOISE_M: f64 = 0.03;
 
 fn middle(people: &[JointTrajectory]) -> Option<Vector3<f64>> {
-    let (mut sum, mut n) = (Vector3::zeros(), 0usize);
-    for point in people.iter().flat_map(|p| p.points.iter().flatten()).flatten() {
-        sum += point;
-        n += 1;
-    }
-    (n > 0).then(|| sum / n as f64)
+    let n = points_of(people).count();
+    (n > 0).then(|| points_of(people).sum::<Vector3<f64>>() / n as f64)
 }
 
 #[cfg(test)]
@@ -172,20 +140,5 @@ mod tests {
             assert!((r.determinant() - 1.0).abs() < 1e-12);
             assert!((r * up - unit).norm() < 1e-12);
         }
-    }
-
-    #[test]
-    fn finds_a_tilted_floor_with_outliers() {
-        let tilt = rotation::exp(&Vector3::new(0.1, 0.0, -0.05));
-        let normal = tilt * Vector3::y();
-        let feet: Vec<(Vector3<f64>, f64)> = (0..400)
-            .map(|i| {
-                let (x, z) = ((i % 20) as f64 * 0.1, (i / 20) as f64 * 0.1);
-                let lifted = if i % 9 == 0 { 0.3 } else { 0.0 };
-                (tilt * Vector3::new(x, 0.02 + lifted, z), 0.02)
-            })
-            .collect();
-        let found = floor_normal(&feet, &Vector3::y(), 1.0).unwrap();
-        assert!(found.angle(&normal) < 0.005, "{} rad", found.angle(&normal));
     }
 }
