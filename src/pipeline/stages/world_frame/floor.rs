@@ -2,6 +2,8 @@
 
 use super::up_direction::{UpDirection, tangents};
 use crate::body::human_speeds::STANDING_FOOT_M_S;
+use crate::body::skeleton::KeypointConvention;
+use crate::optim::robust::{median, quantile};
 use crate::session::JointTrajectory;
 use crate::session::recording::Session;
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
@@ -26,6 +28,16 @@ const MAX_DISTANCE: f64 = 6.0;
 /// Heights of keypoints above the sole of a standing foot, m (lateral malleolus 68 mm, ANSUR II; toe and heel points on
 /// the shoe).
 const SOLE: [(&str, f64); 4] = [("ankle", 0.075), ("heel", 0.025), ("big_toe", 0.02), ("small_toe", 0.02)];
+
+/// Height above the lowest keypoints at which feet stand on no floor, m: those of people who lie.
+const MAX_ABOVE_LOWEST_M: f64 = 0.15;
+
+/// Heights above the floor of people whose feet no camera shows, m: of knees, also of people who sit, and of hips (ANSUR II, medians of
+/// men and women).
+const ABOVE_FLOOR: [(&str, f64); 2] = [("knee", 0.48), ("hip", 0.88)];
+
+/// Share of the places of hips for which ankles are known, above which cameras show feet.
+const SEEN: f64 = 0.1;
 
 /// A foot that stands.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -62,6 +74,35 @@ pub(super) fn standing_feet(session: &Session, people: &[JointTrajectory], metre
         }
     }
     feet
+}
+
+/// Height of the floor, m: under standing feet, or under the lowest keypoints where feet are in the air; without feet as far below the lowest
+/// joints of legs as people have them.
+pub(super) fn floor_height(
+    convention: KeypointConvention,
+    people: &[JointTrajectory],
+    feet: &[StandingPoint],
+    height_of: impl Fn(&Vector3<f64>) -> f64,
+) -> f64 {
+    let heights_of = |is_meant: &dyn Fn(&str) -> bool| -> Vec<f64> {
+        let names = convention.names();
+        let of_frame = |points: &Vec<Option<Vector3<f64>>>| -> Vec<f64> {
+            let meant = points.iter().zip(names).filter(|(_, name)| is_meant(name));
+            meant.filter_map(|(point, _)| point.as_ref().map(&height_of)).collect()
+        };
+        people.iter().flat_map(|person| &person.points).flat_map(of_frame).collect()
+    };
+    let heights_of_joints = |joint: &str| heights_of(&|name| name.ends_with(joint));
+    let n_hips = heights_of_joints("hip").len() as f64;
+    let are_seen = |joint: &str| heights_of_joints(joint).len() as f64 > SEEN * n_hips;
+    if !are_seen("ankle") {
+        let lowest = ABOVE_FLOOR.into_iter().find(|(joint, _)| are_seen(joint));
+        let below = |(joint, above): (&str, f64)| Some(median(&mut heights_of_joints(joint))? - above);
+        return lowest.and_then(below).unwrap_or(0.0);
+    }
+    let mut soles: Vec<f64> = feet.iter().map(|foot| height_of(&foot.position) - foot.height).collect();
+    let lowest = quantile(&mut heights_of(&|_| true), 0.05).unwrap_or(0.0);
+    quantile(&mut soles, 0.2).filter(|floor| *floor < lowest + MAX_ABOVE_LOWEST_M).unwrap_or(lowest)
 }
 
 /// The way up with what the floor under standing feet says of it, each by its uncertainty.
@@ -120,11 +161,12 @@ impl Slope {
 mod tests {
     use super::*;
     use crate::geometry::rotation;
+    use crate::session::{FrameIndex, PersonId};
 
     fn feet_on(normal_from_up: &Matrix3<f64>) -> Vec<StandingPoint> {
         let foot = |i: usize| {
             let (x, z) = ((i % 20) as f64 * 0.1, (i / 20) as f64 * 0.1);
-            let lifted = if i % 9 == 0 { 0.3 } else { 0.0 };
+            let lifted = if i.is_multiple_of(9) { 0.3 } else { 0.0 };
             StandingPoint { position: normal_from_up * Vector3::new(x, 0.02 + lifted, z), height: 0.02 }
         };
         (0..400).map(foot).collect()
@@ -157,5 +199,35 @@ mod tests {
         let feet: Vec<StandingPoint> = (0..200).map(in_line).collect();
         let found = levelled(&known_to(0.1), &feet, 1.0);
         assert!((found.x + 0.1).abs() < 0.015 && found.z.abs() < 0.003, "{found}");
+    }
+
+    /// Heights of the joints of a person, by the ends of their names, at every frame.
+    fn floor_of(heights: &[(&str, f64)], feet: &[StandingPoint]) -> f64 {
+        let convention = KeypointConvention::Coco17;
+        let known = |name: &&str| heights.iter().find(|(joint, _)| name.ends_with(joint));
+        let point = |name| known(name).map(|(_, height)| Vector3::new(0.0, *height, 0.0));
+        let points: Vec<_> = vec![convention.names().iter().map(point).collect(); 30];
+        let n_views = points.iter().map(|points: &Vec<_>| vec![2; points.len()]).collect();
+        let person = JointTrajectory { person: PersonId(0), first: FrameIndex(0), points, n_views };
+        floor_height(convention, &[person], feet, |point| point.y)
+    }
+
+    /// Half bodies had the floor at their hips.
+    #[test]
+    fn without_feet_the_floor_lies_below_the_lowest_joints_of_legs() {
+        let sitting = [("shoulder", 3.0), ("hip", 2.45), ("knee", 2.48)];
+        assert!((floor_of(&sitting, &[]) - 2.0).abs() < 1e-9);
+        assert!((floor_of(&sitting[..2], &[]) - 1.57).abs() < 1e-9);
+        assert_eq!(floor_of(&sitting[..1], &[]), 0.0);
+    }
+
+    #[test]
+    fn people_who_lie_with_their_legs_raised_lie_on_the_floor() {
+        let lying = [("shoulder", 0.1), ("hip", 0.1), ("knee", 0.4), ("ankle", 0.6)];
+        let raised = [StandingPoint { position: Vector3::new(0.0, 0.6, 0.0), height: 0.075 }; 40];
+        assert_eq!(floor_of(&lying, &raised), 0.1);
+        let standing = [("hip", 0.9), ("ankle", 0.07)];
+        let below = [StandingPoint { position: Vector3::new(0.0, 0.07, 0.0), height: 0.075 }; 40];
+        assert!((floor_of(&standing, &below) + 0.005).abs() < 1e-9);
     }
 }

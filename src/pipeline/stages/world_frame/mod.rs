@@ -6,11 +6,10 @@ mod floor;
 mod up_direction;
 
 use crate::geometry::{Rigid, Similarity};
-use crate::optim::robust::quantile;
 use crate::pipeline::up_rival::UpRival;
 use crate::session::JointTrajectory;
 use crate::session::recording::{Session, UpAxis};
-use floor::{levelled, standing_feet};
+use floor::{floor_height, levelled, standing_feet};
 use nalgebra::{Matrix2, Matrix3, Vector3};
 use up_direction::{UpDirection, UpEvidence};
 
@@ -19,9 +18,6 @@ const SAMPLES_PER_PERSON: usize = 25;
 
 /// Tilt of cameras' mean upright against the way up, rad, where no body shows it.
 const CAMERA_TILT: f64 = 0.26; // 15 degrees
-
-/// Height above the lowest keypoints at which feet stand on no floor, m: those of people who lie.
-const MAX_ABOVE_LOWEST_M: f64 = 0.15;
 
 /// The world of a result.
 #[derive(Debug, Clone, Copy)]
@@ -48,11 +44,7 @@ pub fn world(
     let height = axis_index(up_axis);
     let height_of = |p: &Vector3<f64>| (level_from_solution * p)[height] * metres_per_unit;
     let mut origin = middle(people).map_or_else(Vector3::zeros, |m| level_from_solution * m * metres_per_unit);
-    let mut soles: Vec<f64> = feet.iter().map(|foot| height_of(&foot.position) - foot.height).collect();
-    let mut heights: Vec<f64> = points_of(people).map(height_of).collect();
-    let lowest = quantile(&mut heights, 0.05).unwrap_or(0.0);
-    let on_soles = quantile(&mut soles, 0.2).filter(|floor| *floor < lowest + MAX_ABOVE_LOWEST_M);
-    origin[height] = on_soles.unwrap_or(lowest);
+    origin[height] = floor_height(session.convention, people, &feet, height_of);
     let world_from_solution =
         Similarity { scale: metres_per_unit, rotation: level_from_solution, translation: -origin };
     World { world_from_solution, rival: likeliest.rival }
@@ -118,19 +110,15 @@ fn camera_axis(cameras: &[Option<Rigid>]) -> Option<Vector3<f64>> {
     cameras.iter().flatten().map(|c| -c.rotation.row(1).transpose()).sum::<Vector3<f64>>().try_normalize(1e-6)
 }
 
-fn points_of(people: &[JointTrajectory]) -> impl Iterator<Item = &Vector3<f64>> {
-    people.iter().flat_map(|person| person.points.iter().flatten()).flatten()
-}
-
 fn middle(people: &[JointTrajectory]) -> Option<Vector3<f64>> {
-    let n = points_of(people).count();
-    (n > 0).then(|| points_of(people).sum::<Vector3<f64>>() / n as f64)
+    let points = || people.iter().flat_map(|person| person.points.iter().flatten()).flatten();
+    let n = points().count();
+    (n > 0).then(|| points().sum::<Vector3<f64>>() / n as f64)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::rotation;
 
     #[test]
     fn level_rotation_is_proper_and_maps_up() {
