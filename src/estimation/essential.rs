@@ -7,7 +7,7 @@ use crate::geometry::epipolar::{self, PointPair};
 use crate::geometry::five_point::five_point;
 use crate::geometry::{Rigid, rotation};
 use crate::optim::dense_levenberg_marquardt::descend;
-use nalgebra::{Matrix3, Matrix3x2, SVector};
+use nalgebra::{Matrix3, SVector};
 use squares::PairLanes;
 
 /// An estimated relative pose, with statistics of the pairs.
@@ -116,19 +116,13 @@ fn refined(start: &Rigid, pairs: &PairLanes, threshold: f64, iterations: usize) 
     let Some(translation) = start.translation.try_normalize(0.0) else {
         return *start;
     };
-    let linearize = |pose: &Rigid| Some(pairs.linearized(pose, &baseline_tangents(pose), threshold));
+    let linearize = |pose: &Rigid| Some(pairs.linearized(pose, &rotation::tangents(&pose.translation), threshold));
     descend(Rigid { translation, ..*start }, iterations, linearize, retract)
-}
-
-/// Two unit tangents of the sphere at the baseline's direction.
-fn baseline_tangents(pose: &Rigid) -> Matrix3x2<f64> {
-    let first = rotation::any_perpendicular(&pose.translation);
-    Matrix3x2::from_columns(&[first, pose.translation.cross(&first)])
 }
 
 fn retract(pose: &Rigid, step: &SVector<f64, 5>) -> Rigid {
     let turn = rotation::exp(&step.fixed_rows::<3>(0).into_owned());
-    let moved = pose.translation + baseline_tangents(pose) * step.fixed_rows::<2>(3);
+    let moved = pose.translation + rotation::tangents(&pose.translation) * step.fixed_rows::<2>(3);
     Rigid { rotation: turn * pose.rotation, translation: moved.normalize() }
 }
 

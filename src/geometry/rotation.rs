@@ -1,6 +1,6 @@
 //! SO(3): exponential, logarithm, their Jacobians, rotations between directions.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Matrix3x2, Vector3};
 
 /// `[a]x`, so that `[a]x b = a x b`.
 pub fn skew(a: &Vector3<f64>) -> Matrix3<f64> {
@@ -155,6 +155,12 @@ pub fn any_perpendicular(a: &Vector3<f64>) -> Vector3<f64> {
     let mut axis = Vector3::zeros();
     axis[a.iamin()] = 1.0;
     a.cross(&axis).normalize()
+}
+
+/// Two unit vectors perpendicular to a unit vector and to each other: tangents of the sphere at `direction`.
+pub fn tangents(direction: &Vector3<f64>) -> Matrix3x2<f64> {
+    let first = any_perpendicular(direction);
+    Matrix3x2::from_columns(&[first, direction.cross(&first)])
 }
 
 #[cfg(test)]

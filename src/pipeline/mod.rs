@@ -26,11 +26,10 @@
 //! | | | fit of hands | conventions with hands, several cameras; once |
 //! | | | fit statistics, verdict | once |
 //!
-//! In passes 1 and 2 the rounds after the first keep the cameras of the round before and only associate. The final bundle
-//! adjustment of estimated or refined cameras runs exactly once per calibration: in pass 4 on repaired detections, or
-//! without that pass at the end of pass 3.
+//! In passes 1 and 2 the rounds after the first keep the cameras of the round before and only associate. The final bundle adjustment
+//! of estimated or refined cameras runs once per calibration: in pass 4 on repaired detections, or without it at the end of pass 3.
 //!
-//! Nouns (`calibration`, `camera_clock`, `capture`, `config`, `continuation`, `corrections`, `error`, `focal_lengths`, `focal_spread`, `keyframe`, `option_kind`, `option_table`, `planned_stages`, `provisional`, `time_windows`, `unsolvable`, `up_rival`) import no stage; stages import nouns and no other stage;
+//! Nouns (`calibration`, `camera_clock`, `capture`, `config`, `continuation`, `corrections`, `error`, `focal_lengths`, `focal_spread`, `keyframe`, `option_kind`, `option_table`, `planned_stages`, `provisional`, `time_windows`, `unsolvable`, `up_direction`) import no stage; stages import nouns and no other stage;
 //! passes import stages; this file imports passes.
 
 pub mod calibration;
@@ -56,7 +55,7 @@ pub mod result;
 pub mod stages;
 mod time_windows;
 pub mod unsolvable;
-mod up_rival;
+pub mod up_direction;
 
 use crate::body::{BodyModel, default_body};
 use crate::progress::{Progress, Stages};

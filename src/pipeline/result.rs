@@ -16,7 +16,7 @@ use super::stages::joint_trajectories::joint_trajectories;
 use super::stages::verdict::input::{FollowedPerson, PoseChange, VerdictInput};
 use super::stages::verdict::quality;
 use super::stages::world_frame::{World, world};
-use super::up_rival::UpRival;
+use super::up_direction::UpRival;
 use crate::body::BodyModel;
 use crate::body::hand::with_hand_landmarks;
 use crate::body::scale::FittedStature;

@@ -127,7 +127,7 @@ fn sums_over_lanes_are_the_derivatives_of_the_cost() {
     let (threshold, step) = (0.05, 1e-6);
     let lanes = PairLanes::new(&scene.pairs, |i| 1.0 + 0.1 * i as f64);
     let pose = Rigid { translation: scene.pose.translation.normalize(), ..scene.pose };
-    let tangents = baseline_tangents(&pose);
+    let tangents = rotation::tangents(&pose.translation);
     let model = lanes.linearized(&pose, &tangents, threshold);
     let squared =
         scene.pairs.iter().map(|(a, b)| epipolar::sampson_squared(&epipolar::essential_from_pose(&pose), a, b));

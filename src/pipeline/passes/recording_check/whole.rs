@@ -11,6 +11,7 @@ use crate::pipeline::stages::recording_check::frame_rate::{
 };
 use crate::pipeline::stages::recording_check::handedness::{handedness, upside_down};
 use crate::pipeline::stages::recording_check::motion_rate::{MotionRate, motion_rate};
+use crate::pipeline::up_direction::up_direction;
 use crate::progress::{Canceled, Progress};
 use crate::session::{Session, Suspicion, SuspicionCode as Code};
 
@@ -113,10 +114,11 @@ pub(super) fn too_few_people(solved: &Solved, found: &mut Vec<Suspicion>) {
 /// Movements and steps that are too quick or too slow for people.
 pub(super) fn wrong_frame_rate(solved: &Solved, found: &mut Vec<Suspicion>) {
     let session = solved.session();
-    let shown = steps(session.convention, solved.paths, session.fps);
+    let up = up_direction(session.convention, &solved.calibration.cameras, solved.paths).direction;
+    let shown = steps(session.convention, solved.paths, &up, session.fps);
     // Runners are faster than the people of the statistics.
     let runs = shown.is_some_and(|shown| shown.is_running);
-    let moved = if runs { None } else { motion_rate(session.convention, solved.paths, session.fps, shown) };
+    let moved = if runs { None } else { motion_rate(session.convention, solved.paths, &up, session.fps, shown) };
     tracing::debug!(?shown, ?moved, "steps and movements of people");
     let evidence = match moved {
         Some(moved) => moved.is_wrong().then(|| of_movements(session.fps, moved)),

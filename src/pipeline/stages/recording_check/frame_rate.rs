@@ -54,13 +54,12 @@ impl Steps {
     }
 }
 
-/// Steps of all people; `None` without any, or where the convention lacks hips, shoulders or ankles.
-pub fn steps(convention: KeypointConvention, people: &[JointTrajectory], fps: f64) -> Option<Steps> {
+/// Steps of all people, `up` of unit length; `None` without any, or where the convention lacks hips or ankles.
+pub fn steps(convention: KeypointConvention, people: &[JointTrajectory], up: &Vector3<f64>, fps: f64) -> Option<Steps> {
     let pair = |part: &str| convention.sides_of(part);
     let (hips, ankles) = (pair("hip")?, pair("ankle")?);
     let at = |points: &[Option<Vector3<f64>>], [a, b]: [usize; 2]| Some((points[a]?, points[b]?));
-    let up = upward(convention, people)?;
-    let level = |v: Vector3<f64>| v - up * v.dot(&up);
+    let level = |v: Vector3<f64>| v - up * v.dot(up);
     let mut steps = Vec::new();
     for person in people {
         let middle: Vec<Option<Vector3<f64>>> =
@@ -77,14 +76,6 @@ pub fn steps(convention: KeypointConvention, people: &[JointTrajectory], fps: f6
     let usual = steps.iter().filter(|(length, _)| *length < STEP_M[1]);
     let mut ratios: Vec<f64> = usual.map(|(length, secs)| length * secs).collect();
     Some(Steps { n: ratios.len(), ratio: median(&mut ratios).unwrap_or(USUAL_RATIO), is_running })
-}
-
-/// The mean direction of all trunks, from hips to shoulders; `None` where the convention lacks them.
-pub(super) fn upward(convention: KeypointConvention, people: &[JointTrajectory]) -> Option<Vector3<f64>> {
-    let ([a, b], [c, d]) = (convention.sides_of("shoulder")?, convention.sides_of("hip")?);
-    let trunk = |points: &Vec<Option<Vector3<f64>>>| Some(points[a]? + points[b]? - points[c]? - points[d]?);
-    let trunks = people.iter().flat_map(|person| &person.points).filter_map(trunk);
-    trunks.sum::<Vector3<f64>>().try_normalize(1e-6)
 }
 
 /// Length, m, and duration, s, of each step from place to place; `spread`: from the right to the left ankle.

@@ -4,7 +4,6 @@
 //! below its upward part (coefficient of friction 1), so that $-a_{up} + |a_{level}| \le g$. Accelerations grow with the square of the
 //! frame rate: a rate that is too high breaks this, whatever people do, and flights show g at the right rate only.
 
-use super::frame_rate::upward;
 use crate::body::skeleton::KeypointConvention;
 use crate::session::JointTrajectory;
 use nalgebra::Vector3;
@@ -67,9 +66,8 @@ struct Acceleration {
 }
 
 impl Accelerations {
-    /// Of all people; `None` where the convention lacks a keypoint that carries mass, or shows no trunk.
-    pub fn of_people(convention: KeypointConvention, people: &[JointTrajectory]) -> Option<Self> {
-        let up = upward(convention, people)?;
+    /// Of all people, `up` of unit length; `None` where the convention lacks a keypoint that carries mass.
+    pub fn of_people(convention: KeypointConvention, people: &[JointTrajectory], up: &Vector3<f64>) -> Option<Self> {
         let shares: Vec<([usize; 2], f64)> = MASS_SHARES
             .iter()
             .map(|(part, share)| Some((convention.sides_of(part)?, *share)))
@@ -82,7 +80,7 @@ impl Accelerations {
         };
         let centres: Vec<Vec<Option<Vector3<f64>>>> =
             people.iter().map(|person| person.points.iter().map(centre).collect()).collect();
-        let windows = WINDOWS.into_iter().map(|frames| Window::of(frames, &centres, &up)).collect();
+        let windows = WINDOWS.into_iter().map(|frames| Window::of(frames, &centres, up)).collect();
         Some(Self { windows })
     }
 

@@ -71,6 +71,7 @@ impl MotionRate {
 pub fn motion_rate(
     convention: KeypointConvention,
     people: &[JointTrajectory],
+    up: &Vector3<f64>,
     fps: f64,
     steps: Option<Steps>,
 ) -> Option<MotionRate> {
@@ -80,7 +81,7 @@ pub fn motion_rate(
         return None;
     }
     let covariance = covariance();
-    let accelerations = Accelerations::of_people(convention, people);
+    let accelerations = Accelerations::of_people(convention, people, up);
     let squared_distance = |factor: f64| {
         let off = statistics(&parts, factor * fps)? - SVector::from(MEAN);
         Some(off.dot(&covariance.solve(&off)))

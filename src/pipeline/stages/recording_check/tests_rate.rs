@@ -8,6 +8,9 @@ use crate::session::{FrameIndex, JointTrajectory, PersonId};
 use crate::simulation::{MotionSource, Preset, SimulationConfig, simulate};
 use nalgebra::Vector3;
 
+/// Of the simulated world.
+const UP: Vector3<f64> = Vector3::new(0.0, 1.0, 0.0);
+
 /// Keypoints of simulated people, their convention and frame rate.
 fn people(config: &SimulationConfig) -> (Vec<JointTrajectory>, KeypointConvention, f64) {
     let simulated = simulate(config).unwrap();
@@ -25,7 +28,7 @@ fn people(config: &SimulationConfig) -> (Vec<JointTrajectory>, KeypointConventio
 #[test]
 fn steps_show_the_frame_rate() {
     let (people, convention, fps) = people(&SimulationConfig { frames: 300, ..SimulationConfig::preset(Preset::Easy) });
-    let ratio = |rate: f64| steps(convention, &people, rate * fps).unwrap().ratio;
+    let ratio = |rate: f64| steps(convention, &people, &UP, rate * fps).unwrap().ratio;
     let [least, most] = POSSIBLE_RATIOS;
     assert!((least..most).contains(&ratio(1.0)), "{}", ratio(1.0));
     assert!(ratio(0.25) > most && ratio(2.4) < least, "{} {}", ratio(0.25), ratio(2.4));
@@ -38,8 +41,8 @@ fn a_wrong_rate_passed_where_people_hardly_walk() {
         let (people, convention, fps) =
             people(&SimulationConfig { frames: 300, seed, ..SimulationConfig::preset(Preset::Paper) });
         let found = |rate: f64| {
-            let shown = steps(convention, &people, rate * fps);
-            motion_rate(convention, &people, rate * fps, shown).unwrap()
+            let shown = steps(convention, &people, &UP, rate * fps);
+            motion_rate(convention, &people, &UP, rate * fps, shown).unwrap()
         };
         let right = found(1.0);
         assert!(!right.is_wrong() && (right.range[0]..=right.range[1]).contains(&1.0), "{seed}: {right:?}");
@@ -65,8 +68,8 @@ fn people_who_stand_still_show_no_rate() {
             *points = first.iter().map(|p| p.map(|p| p + Vector3::repeat(breath))).collect();
         }
     }
-    let shown = steps(convention, &people, fps);
-    let found = motion_rate(convention, &people, fps, shown).unwrap();
+    let shown = steps(convention, &people, &UP, fps);
+    let found = motion_rate(convention, &people, &UP, fps, shown).unwrap();
     assert!(!found.is_wrong() && !found.is_human, "{found:?}");
 }
 
@@ -80,11 +83,11 @@ fn runners_are_known_at_any_frame_rate() {
     };
     let (people, convention, fps) = people(&running);
     for rate in [0.5, 1.0, 2.0] {
-        assert!(steps(convention, &people, rate * fps).is_some_and(|steps| steps.is_running), "{rate}");
+        assert!(steps(convention, &people, &UP, rate * fps).is_some_and(|steps| steps.is_running), "{rate}");
     }
     let (walkers, convention, fps) =
         self::people(&SimulationConfig { frames: 300, ..SimulationConfig::preset(Preset::Easy) });
-    assert!(steps(convention, &walkers, 2.0 * fps).is_some_and(|steps| !steps.is_running));
+    assert!(steps(convention, &walkers, &UP, 2.0 * fps).is_some_and(|steps| !steps.is_running));
 }
 
 /// A runner who crossed the images in 1.5 s was too fast for people.
@@ -97,11 +100,11 @@ fn two_steps_of_a_runner_were_too_few() {
         ..SimulationConfig::preset(Preset::Easy)
     };
     let (mut people, convention, fps) = people(&running);
-    let n_steps = |people: &[JointTrajectory]| steps(convention, people, fps).map_or(0, |steps| steps.n);
+    let n_steps = |people: &[JointTrajectory]| steps(convention, people, &UP, fps).map_or(0, |steps| steps.n);
     while n_steps(&people) > 2 {
         people[0].points.pop();
     }
-    assert!(steps(convention, &people, fps).is_some_and(|steps| steps.is_running));
+    assert!(steps(convention, &people, &UP, fps).is_some_and(|steps| steps.is_running));
 }
 
 /// A stiff person who goes up and down as `height` says, m by s.
@@ -109,10 +112,8 @@ fn moving_up_and_down(height: impl Fn(f64) -> f64) -> (Vec<JointTrajectory>, Key
     let (mut people, convention, fps) =
         people(&SimulationConfig { people: 1, frames: 250, ..SimulationConfig::preset(Preset::Easy) });
     let standing = people[0].points[0].clone();
-    let trunk = |part: &str| convention.sides_of(part).map(|[a, b]| standing[a].unwrap() + standing[b].unwrap());
-    let up = (trunk("shoulder").unwrap() - trunk("hip").unwrap()).normalize();
     for (t, points) in people[0].points.iter_mut().enumerate() {
-        let moved = up * height(t as f64 / fps);
+        let moved = UP * height(t as f64 / fps);
         *points = standing.iter().map(|p| p.map(|p| p + moved)).collect();
     }
     (people, convention, fps)
@@ -126,7 +127,7 @@ fn flights_show_the_frame_rate() {
         if t < flight { 0.5 * 9.81 * t * (flight - t) } else { 0.0 }
     };
     let (people, convention, fps) = moving_up_and_down(jumps);
-    let shown = Accelerations::of_people(convention, &people).unwrap();
+    let shown = Accelerations::of_people(convention, &people, &UP).unwrap();
     assert_eq!([0.5, 0.7, 1.0, 1.4, 2.0].map(|rate| shown.n_flights(rate * fps)), [0, 0, 5, 0, 0]);
     let strongest = |rate: f64| shown.strongest(rate * fps).unwrap();
     assert!((0.8..1.0).contains(&strongest(1.0)) && strongest(1.4) > 1.5, "{} {}", strongest(1.0), strongest(1.4));
@@ -137,7 +138,7 @@ fn flights_show_the_frame_rate() {
 #[test]
 fn no_floor_pulls_people_down() {
     let (people, convention, fps) = moving_up_and_down(|secs| 0.05 * (secs * std::f64::consts::TAU).cos());
-    let shown = Accelerations::of_people(convention, &people).unwrap();
+    let shown = Accelerations::of_people(convention, &people, &UP).unwrap();
     assert!(shown.strongest(fps).unwrap() < 0.25, "{:?}", shown.strongest(fps));
     assert!(shown.strongest(4.0 * fps).unwrap() > 1.3, "{:?}", shown.strongest(4.0 * fps));
     assert_eq!(shown.log_likelihood(fps), 0.0);

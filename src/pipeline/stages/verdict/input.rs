@@ -1,6 +1,6 @@
 //! Input of the verdict.
 
-use crate::pipeline::up_rival::UpRival;
+use crate::pipeline::up_direction::UpRival;
 use crate::session::Suspicion;
 use crate::session::reconstruction::{CameraReport, GeometryReport, PenetrationReport, PersonReport, ScaleReport};
 

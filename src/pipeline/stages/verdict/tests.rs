@@ -2,7 +2,7 @@
 
 use super::input::{FollowedPerson, PoseChange};
 use super::*;
-use crate::pipeline::up_rival::UpRival;
+use crate::pipeline::up_direction::UpRival;
 use crate::session::reconstruction::{
     CameraReport, ErrorSummary, GeometryReport, KeypointReport, Overlap, PenetrationReport, PersonReport, ScaleReport,
     SigmaSummary, StillDetections, UncertainFrames,

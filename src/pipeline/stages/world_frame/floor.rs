@@ -1,9 +1,10 @@
 //! The floor under standing feet.
 
-use super::up_direction::{UpDirection, tangents};
 use crate::body::human_speeds::STANDING_FOOT_M_S;
 use crate::body::skeleton::KeypointConvention;
+use crate::geometry::rotation::tangents;
 use crate::optim::robust::{median, quantile};
+use crate::pipeline::up_direction::UpDirection;
 use crate::session::JointTrajectory;
 use crate::session::recording::Session;
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};

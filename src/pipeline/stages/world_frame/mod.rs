@@ -1,23 +1,15 @@
 //! World frame of the result: metres, the chosen axis up, origin on the floor under the people.
 //!
-//! `up_direction` weighs the ways up; `floor` levels the likeliest one by standing feet.
+//! Standing feet level the likeliest way up.
 
 mod floor;
-mod up_direction;
 
 use crate::geometry::{Rigid, Similarity};
-use crate::pipeline::up_rival::UpRival;
+use crate::pipeline::up_direction::{UpRival, up_direction};
 use crate::session::JointTrajectory;
 use crate::session::recording::{Session, UpAxis};
 use floor::{floor_height, levelled, standing_feet};
-use nalgebra::{Matrix2, Matrix3, Vector3};
-use up_direction::{UpDirection, UpEvidence};
-
-/// Bodies of one person that are looked at, spread over the take.
-const SAMPLES_PER_PERSON: usize = 25;
-
-/// Tilt of cameras' mean upright against the way up, rad, where no body shows it.
-const CAMERA_TILT: f64 = 0.26; // 15 degrees
+use nalgebra::{Matrix3, Vector3};
 
 /// The world of a result.
 #[derive(Debug, Clone, Copy)]
@@ -38,7 +30,7 @@ pub fn world(
     up_axis: UpAxis,
 ) -> World {
     let feet = standing_feet(session, people, metres_per_unit);
-    let likeliest = up_direction(session, cameras, people);
+    let likeliest = up_direction(session.convention, cameras, people);
     let up = levelled(&likeliest, &feet, metres_per_unit);
     let level_from_solution = level_rotation(&up, cameras, up_axis);
     let height = axis_index(up_axis);
@@ -48,17 +40,6 @@ pub fn world(
     let world_from_solution =
         Similarity { scale: metres_per_unit, rotation: level_from_solution, translation: -origin };
     World { world_from_solution, rival: likeliest.rival }
-}
-
-/// By cameras and bodies; without bodies the cameras' mean upright.
-fn up_direction(session: &Session, cameras: &[Option<Rigid>], people: &[JointTrajectory]) -> UpDirection {
-    let bodies: Vec<Vec<Vector3<f64>>> =
-        people.iter().map(|person| body_axes(session, person)).filter(|axes| !axes.is_empty()).collect();
-    if bodies.is_empty() {
-        let direction = camera_axis(cameras).unwrap_or(-Vector3::y());
-        return UpDirection { direction, covariance: Matrix2::identity() * CAMERA_TILT * CAMERA_TILT, rival: None };
-    }
-    UpEvidence { cameras: cameras.iter().flatten().map(|camera| camera.rotation).collect(), bodies }.likeliest()
 }
 
 fn axis_index(up_axis: UpAxis) -> usize {
@@ -84,30 +65,6 @@ fn level_rotation(up: &Vector3<f64>, cameras: &[Option<Rigid>], up_axis: UpAxis)
         UpAxis::Z => Matrix3::from_rows(&[side.transpose(), -third.transpose(), up.transpose()]),
         UpAxis::X => Matrix3::from_rows(&[up.transpose(), side.transpose(), -third.transpose()]),
     }
-}
-
-/// Directions from hips, knees and ankles to the shoulder above, of frames spread over the take.
-fn body_axes(session: &Session, person: &JointTrajectory) -> Vec<Vector3<f64>> {
-    let index = |name: &str| session.convention.index_of(name);
-    let pairs: Vec<(usize, usize)> = ["left", "right"]
-        .iter()
-        .flat_map(|side| {
-            ["hip", "knee", "ankle"].map(|low| (index(&format!("{side}_{low}")), index(&format!("{side}_shoulder"))))
-        })
-        .filter_map(|(low, high)| Some((low?, high?)))
-        .collect();
-    let axis = |points: &Vec<Option<Vector3<f64>>>| {
-        let directions = pairs.iter().filter_map(|&(low, high)| (points[high]? - points[low]?).try_normalize(1e-9));
-        directions.sum::<Vector3<f64>>().try_normalize(1e-6)
-    };
-    let axes: Vec<Vector3<f64>> = person.points.iter().filter_map(axis).collect();
-    let n = axes.len().min(SAMPLES_PER_PERSON);
-    (0..n).map(|k| axes[k * axes.len() / n]).collect()
-}
-
-/// Mean up direction of the cameras, most of which stand upright.
-fn camera_axis(cameras: &[Option<Rigid>]) -> Option<Vector3<f64>> {
-    cameras.iter().flatten().map(|c| -c.rotation.row(1).transpose()).sum::<Vector3<f64>>().try_normalize(1e-6)
 }
 
 fn middle(people: &[JointTrajectory]) -> Option<Vector3<f64>> {

@@ -8,9 +8,11 @@
 //! On 72 captures (realistic, `paper` and `hard`; 3 to 12 cameras, twelve kinds of rigs) it is 0.8 degrees off where cameras roll by
 //! 1 degree, 2.2 where they roll by 3; the mean direction of bodies is 4 degrees off, and that of people on a mat 90.
 
-use crate::geometry::rotation::any_perpendicular;
-use crate::pipeline::up_rival::UpRival;
-use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector3};
+use crate::body::skeleton::KeypointConvention;
+use crate::geometry::Rigid;
+use crate::geometry::rotation::tangents;
+use crate::session::JointTrajectory;
+use nalgebra::{Matrix2, Matrix3, Vector3};
 use std::f64::consts::{PI, TAU};
 
 /// Roll of cameras that are set level by eye, rad.
@@ -36,8 +38,8 @@ const LEAN_SIGMA: f64 = 0.35; // 20 degrees
 /// Share of the time in which people are not upright.
 const NOT_UPRIGHT: f64 = 0.15;
 
-/// Number of independent witnesses that the people of a session count for: who lies does so for long, and others with them.
-const WITNESSES: f64 = 2.0;
+/// Number of independent postures that all people of a session count for: people lie for long, and together.
+const N_INDEPENDENT: f64 = 2.0;
 
 /// Directions that are compared first: 4.5 degrees apart.
 const N_DIRECTIONS: usize = 2000;
@@ -48,29 +50,77 @@ const MODE_RADIUS_DEG: i32 = 20;
 /// Modes that are looked at.
 const N_MODES: usize = 4;
 
+/// Bodies of one person that are looked at, spread over the take.
+const SAMPLES_PER_PERSON: usize = 25;
+
+/// Tilt of cameras' mean upright against the way up, rad, where no body shows it.
+const CAMERA_TILT: f64 = 0.26; // 15 degrees
+
 /// The way up in the solution.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct UpDirection {
+pub struct UpDirection {
     /// Unit length.
-    pub(super) direction: Vector3<f64>,
-    /// Of its tilts along [`tangents`], rad^2.
-    pub(super) covariance: Matrix2<f64>,
+    pub direction: Vector3<f64>,
+    /// Of its tilts along its [`tangents`], rad^2.
+    pub covariance: Matrix2<f64>,
     /// The likeliest one that is far from it.
-    pub(super) rival: Option<UpRival>,
+    pub rival: Option<UpRival>,
 }
 
-/// Two unit vectors perpendicular to `direction` and to each other.
-pub(super) fn tangents(direction: &Vector3<f64>) -> Matrix3x2<f64> {
-    let first = any_perpendicular(direction);
-    Matrix3x2::from_columns(&[first, direction.cross(&first)])
+/// Another way up.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct UpRival {
+    /// How many times less likely it is.
+    pub ratio: f64,
+    /// Between the two, degrees.
+    pub angle_deg: f64,
+}
+
+/// By cameras and bodies; without bodies the cameras' mean upright.
+pub fn up_direction(
+    convention: KeypointConvention,
+    cameras: &[Option<Rigid>],
+    people: &[JointTrajectory],
+) -> UpDirection {
+    let bodies: Vec<Vec<Vector3<f64>>> =
+        people.iter().map(|person| body_axes(convention, person)).filter(|axes| !axes.is_empty()).collect();
+    if bodies.is_empty() {
+        let direction = camera_axis(cameras).unwrap_or(-Vector3::y());
+        return UpDirection { direction, covariance: Matrix2::identity() * CAMERA_TILT * CAMERA_TILT, rival: None };
+    }
+    UpEvidence { cameras: cameras.iter().flatten().map(|camera| camera.rotation).collect(), bodies }.likeliest()
+}
+
+/// Directions from hips, knees and ankles to the shoulder above, of frames spread over the take.
+fn body_axes(convention: KeypointConvention, person: &JointTrajectory) -> Vec<Vector3<f64>> {
+    let index = |name: &str| convention.index_of(name);
+    let pairs: Vec<(usize, usize)> = ["left", "right"]
+        .iter()
+        .flat_map(|side| {
+            ["hip", "knee", "ankle"].map(|low| (index(&format!("{side}_{low}")), index(&format!("{side}_shoulder"))))
+        })
+        .filter_map(|(low, high)| Some((low?, high?)))
+        .collect();
+    let axis = |points: &Vec<Option<Vector3<f64>>>| {
+        let directions = pairs.iter().filter_map(|&(low, high)| (points[high]? - points[low]?).try_normalize(1e-9));
+        directions.sum::<Vector3<f64>>().try_normalize(1e-6)
+    };
+    let axes: Vec<Vector3<f64>> = person.points.iter().filter_map(axis).collect();
+    let n = axes.len().min(SAMPLES_PER_PERSON);
+    (0..n).map(|k| axes[k * axes.len() / n]).collect()
+}
+
+/// Mean up direction of the cameras, most of which stand upright.
+fn camera_axis(cameras: &[Option<Rigid>]) -> Option<Vector3<f64>> {
+    cameras.iter().flatten().map(|c| -c.rotation.row(1).transpose()).sum::<Vector3<f64>>().try_normalize(1e-6)
 }
 
 /// What shows the way up.
-pub(super) struct UpEvidence {
+struct UpEvidence {
     /// `camera_from_solution`.
-    pub(super) cameras: Vec<Matrix3<f64>>,
+    cameras: Vec<Matrix3<f64>>,
     /// Unit vectors from legs to shoulders, by person.
-    pub(super) bodies: Vec<Vec<Vector3<f64>>>,
+    bodies: Vec<Vec<Vector3<f64>>>,
 }
 
 /// Probability around a direction.
@@ -81,7 +131,7 @@ struct Mode {
 
 impl UpEvidence {
     /// The likeliest direction, with the mean and spread of the probability around it.
-    pub(super) fn likeliest(&self) -> UpDirection {
+    fn likeliest(&self) -> UpDirection {
         let directions: Vec<Vector3<f64>> = sphere(N_DIRECTIONS).collect();
         let mut left: Vec<(f64, Vector3<f64>)> = directions.iter().map(|up| (self.log_density(up), *up)).collect();
         let mut modes = Vec::new();
@@ -130,7 +180,7 @@ impl UpEvidence {
         };
         let of_person = |axes: &Vec<Vector3<f64>>| axes.iter().map(of_axis).sum::<f64>() / axes.len() as f64;
         let of_people: f64 = self.bodies.iter().map(of_person).sum();
-        WITNESSES * of_people / self.bodies.len().max(1) as f64
+        N_INDEPENDENT * of_people / self.bodies.len().max(1) as f64
     }
 
     fn mode_around(&self, peak: &Vector3<f64>) -> Mode {
@@ -225,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn upright_people_show_the_way_up_of_cameras_however_they_are_mounted() {
+    fn upright_people_show_it_however_cameras_are_mounted() {
         for rolls in [[13.0, -37.0, 160.0, 80.0, -120.0], [90.0; 5], [180.0, 179.0, 181.0, 178.0, 182.0]] {
             for n_cameras in [2, 5] {
                 let up = evidence(n_cameras, rolls, Vector3::new(0.05, 1.0, -0.05)).likeliest();
