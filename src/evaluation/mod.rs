@@ -13,6 +13,7 @@ pub mod person_matching;
 pub mod report;
 pub mod shelf14;
 mod table;
+pub mod world_error;
 
 pub use camera_error::{CameraPair, camera_errors, relative_camera_error};
 pub use error::EvaluationError;

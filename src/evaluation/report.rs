@@ -10,6 +10,7 @@ use super::jitter::{Jitter, acceleration_error, jitter};
 use super::joint_error::{Mpjpe, Pcp, mpjpe, pcp};
 use super::person_matching::{Frames, Matching};
 use super::shelf14::{Point, Shelf14, Skeleton, to_shelf14};
+use super::world_error::{WorldError, world_error};
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::{Rigid, Similarity};
 use crate::session::json_file::{JsonFileError, read_json_file};
@@ -42,6 +43,9 @@ pub struct Evaluation {
     /// Camera errors that need no alignment.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cameras_relative: Option<RelativeCameraError>,
+    /// Of the world, where both state which axis is up.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub world: Option<WorldError>,
     /// Errors of the file of poses whose joints are most similar to the truth's.
     #[serde(flatten)]
     pub poses: Option<PoseErrors>,
@@ -113,10 +117,12 @@ pub fn evaluate(result: &Path, truth: &Path, options: &EvaluationOptions) -> Res
     };
     let truth_from_result = world_alignment(&pairs, options.align);
     let comparison = PoseComparison::new(&session, &true_poses, options)?;
-    let mut poses = Vec::new();
+    let (mut poses, mut up_axis) = (Vec::new(), None);
     for name in comparison.files_in_order() {
         if let Some(path) = existing(result, name) {
-            poses.push(comparison.errors(name, &documents::read_poses(&path)?, &truth_from_result));
+            let found = documents::read_poses(&path)?;
+            up_axis = up_axis.or(found.up_axis);
+            poses.push(comparison.errors(name, &found, &truth_from_result));
         }
     }
     let identity = match (existing(result, "identities.json"), existing(truth, "identities.json")) {
@@ -127,10 +133,14 @@ pub fn evaluate(result: &Path, truth: &Path, options: &EvaluationOptions) -> Res
         return Err(EvaluationError::Nothing { result: result.to_owned() });
     }
     let mut poses = poses.into_iter();
+    let (solved, true_cameras): (Vec<Rigid>, Vec<Rigid>) = pairs.iter().map(|pair| (pair.solved, pair.truth)).unzip();
+    let ups = up_axis.zip(true_poses.up_axis);
+    let world = ups.and_then(|(found, truth)| world_error((&solved, found), (&true_cameras, truth)));
     Ok(Evaluation {
         data,
         cameras: (!pairs.is_empty()).then(|| aligned_cameras(&pairs, &true_poses)),
         cameras_relative: relative_camera_error(&pairs),
+        world,
         poses: poses.next(),
         other_poses: poses.next(),
         identity,

@@ -24,6 +24,9 @@ impl fmt::Display for Evaluation {
                 worst.rotation_deg, worst.direction_deg
             )?;
         }
+        if let Some(world) = &self.world {
+            writeln!(f, "way up                {:.2} degrees off, floor {:+.0} mm", world.up_deg, world.floor_mm)?;
+        }
         for poses in self.poses.iter().chain(&self.other_poses) {
             write_poses(f, poses)?;
         }

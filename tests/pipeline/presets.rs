@@ -1,9 +1,12 @@
 //! The presets with only the intrinsics given.
 
 use super::{identity_shares, solved, worst_pair_deg};
+use wandless::evaluation::world_error::world_error;
+use wandless::geometry::Rigid;
 use wandless::pipeline::{Options, reconstruct};
 use wandless::progress::Progress;
 use wandless::session::reconstruction::Verdict;
+use wandless::session::recording::UpAxis;
 use wandless::simulation::{Preset, SimulationConfig, Tracks, simulate};
 
 fn preset(preset: Preset, frames: usize) -> SimulationConfig {
@@ -41,13 +44,15 @@ fn result_does_not_depend_on_the_number_of_threads() {
 
 #[test]
 fn the_floor_is_at_height_zero() {
-    let (_, found) = solved(&preset(Preset::Easy, 120));
+    let (simulated, found) = solved(&preset(Preset::Easy, 120));
     let mut feet: Vec<f64> =
         found.motions.iter().flat_map(|m| &m.frames).map(|f| f.joints[10].y.min(f.joints[11].y)).collect();
     feet.sort_by(f64::total_cmp);
     // The lower foot joint lies 2 to 8 cm above the sole; scale and floor noise add a few.
     let median = feet[feet.len() / 2];
     assert!((-0.03..0.15).contains(&median), "lower foot joint at {median} m");
-    let head_up = found.motions.iter().flat_map(|m| &m.frames).filter(|f| f.joints[15].y > f.joints[0].y).count();
-    assert!(head_up > feet.len() * 9 / 10);
+    let cameras: Vec<Rigid> = found.cameras.iter().map(|camera| camera.camera_from_world.unwrap()).collect();
+    let world = world_error((&cameras, found.up_axis), (&simulated.truth.cameras, UpAxis::Y)).unwrap();
+    // Simulated cameras roll by a degree.
+    assert!(world.up_deg < 2.0 && world.floor_mm.abs() < 60.0, "{world:?}");
 }
