@@ -44,6 +44,7 @@ pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
             hardly_seen(person),
             uncertain(person),
             uncertain_for_a_while(person, input.fps),
+            uncertain_throughout(person, input.fps),
             never_shown(person),
             contradicted(person),
             stretching(person),
@@ -136,6 +137,22 @@ fn uncertain_for_a_while(person: &PersonReport, fps: f64) -> Option<Reason> {
         person.id,
         UncertainFrames::BOUND_MM
     )))
+}
+
+/// A person seen for a moment, such as one made of half detections of others, where no other reason says so.
+fn uncertain_throughout(person: &PersonReport, fps: f64) -> Option<Reason> {
+    if uncertain(person).is_some() || uncertain_for_a_while(person, fps).is_some() {
+        return None;
+    }
+    let sigma_mm = person.joint_sigma_mm?.median;
+    let PersonReport { id, first_frame, last_frame, .. } = person;
+    (sigma_mm > UncertainFrames::BOUND_MM).then(|| {
+        Reason::warn(format!(
+            "the joints of person {id}, in frames {first_frame} to {last_frame} alone, are uncertain by {sigma_mm:.0} mm (expected \
+             below {} mm); leave the person out (correction exclude_person), or aim another camera at that place",
+            UncertainFrames::BOUND_MM
+        ))
+    })
 }
 
 /// Limbs that no camera shows, as behind a table or below the images.

@@ -341,6 +341,15 @@ fn names_frames_that_one_camera_alone_shows() {
     assert_eq!(short.judged().verdict, Verdict::Pass, "the report lists it");
 }
 
+/// Half detections of two people made a third one for half a second, 86 mm uncertain, at `pass`.
+#[test]
+fn names_a_person_who_is_uncertain_throughout() {
+    let words = ["person 1", "frames 100 to 399", "86 mm", "exclude_person"];
+    assert_reason(Verdict::Warn, &words, |input| {
+        input.people[1].joint_sigma_mm = Some(SigmaSummary { median: 86.0, p95: 223.0 });
+    });
+}
+
 #[test]
 fn names_the_most_uncertain_keypoint() {
     let coarse = |input: &mut OwnedInput, median: f64| {
