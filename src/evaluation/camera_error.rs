@@ -1,7 +1,7 @@
 //! Errors of solved cameras.
 
 use super::alignment::{Alignment, truth_from_solved};
-use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
+use crate::geometry::{Distortion, Intrinsics, Rigid, Similarity, rotation};
 use crate::session::reconstruction::SolvedCamera;
 use crate::session::{Session, View};
 use nalgebra::{Vector2, Vector3};
@@ -29,6 +29,12 @@ pub fn camera_pairs(session: &Session, truth: &[Rigid], solved: &[SolvedCamera])
         Some(CameraPair { id, intrinsics, truth: *truth, solved: solved.camera_from_world? })
     };
     views.filter_map(pair).collect()
+}
+
+/// [`truth_from_solved`] by the two poses of every camera.
+pub fn truth_from_pairs(pairs: &[CameraPair], alignment: Alignment) -> Similarity {
+    let (solved, truth): (Vec<Rigid>, Vec<Rigid>) = pairs.iter().map(|pair| (pair.solved, pair.truth)).unzip();
+    truth_from_solved(&solved, &truth, alignment)
 }
 
 /// Errors of all cameras after one alignment; means over cameras.
@@ -69,8 +75,7 @@ const BEHIND_PX: f64 = 1e4;
 /// Errors after the alignment; `points`: true joints, world metres. Per camera: `|C_aligned - C_true|`, the angle of
 /// `R_aligned^T R_true`, and the mean distance between the projections of the points inside the true image.
 pub fn camera_errors(pairs: &[CameraPair], points: &[Vector3<f64>], alignment: Alignment) -> CameraErrors {
-    let (solved, truth): (Vec<Rigid>, Vec<Rigid>) = pairs.iter().map(|p| (p.solved, p.truth)).unzip();
-    let truth_from_solved = truth_from_solved(&solved, &truth, alignment);
+    let truth_from_solved = truth_from_pairs(pairs, alignment);
     let error = |pair: &CameraPair| {
         let aligned = truth_from_solved.move_camera(&pair.solved);
         CameraError {

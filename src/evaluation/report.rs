@@ -1,8 +1,10 @@
 //! Evaluation of one result against one ground truth, as a table and as JSON. An independent reference scorer gives the same
 //! numbers.
 
-use super::alignment::{Alignment, truth_from_solved};
-use super::camera_error::{CameraErrors, CameraPair, RelativeCameraError, camera_errors, relative_camera_error};
+use super::alignment::Alignment;
+use super::camera_error::{
+    CameraErrors, CameraPair, RelativeCameraError, camera_errors, relative_camera_error, truth_from_pairs,
+};
 use super::documents::{self, PosesDocument, SessionDocument};
 use super::error::EvaluationError;
 use super::identity_error::{IdentityError, IdentityRow, identity_error};
@@ -12,7 +14,7 @@ use super::person_matching::{Frames, Matching};
 use super::shelf14::{Point, Shelf14, Skeleton, to_shelf14};
 use super::world_error::{WorldError, world_error};
 use crate::body::skeleton::KeypointConvention;
-use crate::geometry::{Rigid, Similarity};
+use crate::geometry::Similarity;
 use crate::session::json_file::{JsonFileError, read_json_file};
 use crate::session::recording::UpAxis;
 use nalgebra::Vector3;
@@ -133,9 +135,8 @@ pub fn evaluate(result: &Path, truth: &Path, options: &EvaluationOptions) -> Res
         return Err(EvaluationError::Nothing { result: result.to_owned() });
     }
     let mut poses = poses.into_iter();
-    let (solved, true_cameras): (Vec<Rigid>, Vec<Rigid>) = pairs.iter().map(|pair| (pair.solved, pair.truth)).unzip();
     let ups = up_axis.zip(true_poses.up_axis);
-    let world = ups.and_then(|(found, truth)| world_error((&solved, found), (&true_cameras, truth)));
+    let world = ups.and_then(|(found, truth)| world_error(&pairs, found, truth));
     Ok(Evaluation {
         data,
         cameras: (!pairs.is_empty()).then(|| aligned_cameras(&pairs, &true_poses)),
@@ -181,8 +182,7 @@ fn world_alignment(pairs: &[CameraPair], requested: Option<Alignment>) -> Simila
         1 | 2 => Alignment::RigidPose,
         _ => Alignment::Rigid,
     };
-    let (solved, truth): (Vec<Rigid>, Vec<Rigid>) = pairs.iter().map(|pair| (pair.solved, pair.truth)).unzip();
-    truth_from_solved(&solved, &truth, requested.unwrap_or(default))
+    truth_from_pairs(pairs, requested.unwrap_or(default))
 }
 
 /// True poses, converted for the comparison.
@@ -200,11 +200,7 @@ impl<'a> PoseComparison<'a> {
         truth: &'a PosesDocument,
         options: &EvaluationOptions,
     ) -> Result<Self, EvaluationError> {
-        let up = match options.up.or(truth.up_axis).or(session.up_axis).unwrap_or(UpAxis::Z) {
-            UpAxis::X => Vector3::x(),
-            UpAxis::Y => Vector3::y(),
-            UpAxis::Z => Vector3::z(),
-        };
+        let up = options.up.or(truth.up_axis).or(session.up_axis).unwrap_or(UpAxis::Z).direction();
         let all: BTreeSet<&String> = truth.frames.values().flat_map(BTreeMap::keys).collect();
         let all: Vec<String> = all.into_iter().cloned().collect();
         if let Some(person) = options.actors.iter().flatten().find(|person| !all.contains(person)) {

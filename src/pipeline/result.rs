@@ -275,11 +275,7 @@ impl Solution {
     /// The upright in the result's world: the up axis. Where extrinsics are given without an up axis and the camera would
     /// lie on its side by it, the camera's own upright: most cameras stand upright.
     fn upright(&self, capture: &Capture) -> Vector3<f64> {
-        let axis = match self.up_axis {
-            UpAxis::X => Vector3::x(),
-            UpAxis::Y => Vector3::y(),
-            UpAxis::Z => Vector3::z(),
-        };
+        let axis = self.up_axis.direction();
         let is_known = capture.session.up_axis.is_some() || capture.estimates_extrinsics();
         let of_camera = self.calibration.cameras.iter().flatten().next().map(|c| -c.rotation.row(1).transpose());
         of_camera.filter(|up| !is_known && up.angle(&axis) > MAX_CAMERA_TILT).unwrap_or(axis)

@@ -93,14 +93,9 @@ pub fn up_direction(
 
 /// Directions from hips, knees and ankles to the shoulder above, of frames spread over the take.
 fn body_axes(convention: KeypointConvention, person: &JointTrajectory) -> Vec<Vector3<f64>> {
-    let index = |name: &str| convention.index_of(name);
-    let pairs: Vec<(usize, usize)> = ["left", "right"]
-        .iter()
-        .flat_map(|side| {
-            ["hip", "knee", "ankle"].map(|low| (index(&format!("{side}_{low}")), index(&format!("{side}_shoulder"))))
-        })
-        .filter_map(|(low, high)| Some((low?, high?)))
-        .collect();
+    let Some(shoulders) = convention.sides_of("shoulder") else { return Vec::new() };
+    let lower = ["hip", "knee", "ankle"].into_iter().filter_map(|part| convention.sides_of(part));
+    let pairs: Vec<(usize, usize)> = lower.flat_map(|sides| sides.into_iter().zip(shoulders)).collect();
     let axis = |points: &Vec<Option<Vector3<f64>>>| {
         let directions = pairs.iter().filter_map(|&(low, high)| (points[high]? - points[low]?).try_normalize(1e-9));
         directions.sum::<Vector3<f64>>().try_normalize(1e-6)
@@ -132,8 +127,7 @@ struct Mode {
 impl UpEvidence {
     /// The likeliest direction, with the mean and spread of the probability around it.
     fn likeliest(&self) -> UpDirection {
-        let directions: Vec<Vector3<f64>> = sphere(N_DIRECTIONS).collect();
-        let mut left: Vec<(f64, Vector3<f64>)> = directions.iter().map(|up| (self.log_density(up), *up)).collect();
+        let mut left: Vec<(f64, Vector3<f64>)> = sphere(N_DIRECTIONS).map(|up| (self.log_density(&up), up)).collect();
         let mut modes = Vec::new();
         while modes.len() < N_MODES && !left.is_empty() {
             let (_, peak) = left.iter().copied().fold(left[0], |best, next| if next.0 > best.0 { next } else { best });

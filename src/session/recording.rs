@@ -4,7 +4,7 @@ use crate::body::BodyModel;
 use crate::body::dense_landmarks::DenseLandmarks;
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::{Intrinsics, PixelCovariance, Rigid};
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Vector2, Vector3};
 use std::sync::Arc;
 
 /// Range of frame rates, frames per second: from time lapse to high speed.
@@ -131,6 +131,22 @@ pub enum UpAxis {
     Y,
     /// +z is up.
     Z,
+}
+
+impl UpAxis {
+    /// Of the coordinate that is the height.
+    pub fn index(self) -> usize {
+        match self {
+            Self::X => 0,
+            Self::Y => 1,
+            Self::Z => 2,
+        }
+    }
+
+    /// Unit vector of the way up.
+    pub fn direction(self) -> Vector3<f64> {
+        Vector3::ith(self.index(), 1.0)
+    }
 }
 
 /// A validated capture session.

@@ -1,8 +1,8 @@
 //! The presets with only the intrinsics given.
 
 use super::{identity_shares, solved, worst_pair_deg};
+use wandless::evaluation::camera_error::camera_pairs;
 use wandless::evaluation::world_error::world_error;
-use wandless::geometry::Rigid;
 use wandless::pipeline::{Options, reconstruct};
 use wandless::progress::Progress;
 use wandless::session::reconstruction::Verdict;
@@ -51,8 +51,8 @@ fn the_floor_is_at_height_zero() {
     // The lower foot joint lies 2 to 8 cm above the sole; scale and floor noise add a few.
     let median = feet[feet.len() / 2];
     assert!((-0.03..0.15).contains(&median), "lower foot joint at {median} m");
-    let cameras: Vec<Rigid> = found.cameras.iter().map(|camera| camera.camera_from_world.unwrap()).collect();
-    let world = world_error((&cameras, found.up_axis), (&simulated.truth.cameras, UpAxis::Y)).unwrap();
+    let pairs = camera_pairs(&simulated.session, &simulated.truth.cameras, &found.cameras);
+    let world = world_error(&pairs, found.up_axis, UpAxis::Y).unwrap();
     // Simulated cameras roll by a degree.
     assert!(world.up_deg < 2.0 && world.floor_mm.abs() < 60.0, "{world:?}");
 }

@@ -33,21 +33,13 @@ pub fn world(
     let likeliest = up_direction(session.convention, cameras, people);
     let up = levelled(&likeliest, &feet, metres_per_unit);
     let level_from_solution = level_rotation(&up, cameras, up_axis);
-    let height = axis_index(up_axis);
+    let height = up_axis.index();
     let height_of = |p: &Vector3<f64>| (level_from_solution * p)[height] * metres_per_unit;
     let mut origin = middle(people).map_or_else(Vector3::zeros, |m| level_from_solution * m * metres_per_unit);
     origin[height] = floor_height(session.convention, people, &feet, height_of);
     let world_from_solution =
         Similarity { scale: metres_per_unit, rotation: level_from_solution, translation: -origin };
     World { world_from_solution, rival: likeliest.rival }
-}
-
-fn axis_index(up_axis: UpAxis) -> usize {
-    match up_axis {
-        UpAxis::X => 0,
-        UpAxis::Y => 1,
-        UpAxis::Z => 2,
-    }
 }
 
 /// Rotation that takes `up` to the up axis and the first camera's right axis as near to +x (or +y for x up) as possible.
